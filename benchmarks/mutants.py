@@ -387,7 +387,7 @@ FAULTS = {
     ),
     "another site may write": Fault(
         "workbench/server/guard.py",
-        "if foreign or (unsafe and not origins and not sites):",
+        'if foreign or (scope["method"] not in SAFE and not origins and not sites):',
         "if False:",
         "tests/workbench",
     ),

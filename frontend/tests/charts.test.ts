@@ -1,7 +1,6 @@
 import { expect, test } from "vitest";
 import { across, dashOf, levels, niceTop, ticks, upwards } from "../src/shared/plot";
 import { describeDoubts, runs, valueRange } from "../src/viewer/chart";
-import { thinOut } from "../src/workbench/curve";
 
 const BOX = { width: 360, height: 220, left: 40, right: 20, top: 10, bottom: 30 };
 
@@ -68,19 +67,6 @@ test("what is not to be trusted is said in a sentence", () => {
   expect(say([0, 8, 0, 0])).toBe("");
   expect(say([2, 2, 0, 0])).toBe("2 of 4 bands are saturated here.");
   expect(say([2, 18, 0, 0])).toBe("2 of 4 bands are saturated, 1 shows glare here.");
-});
-
-test("thousands of values are thinned out to their largest, few are all kept", () => {
-  expect(thinOut([3, 2, 1], 10)).toEqual([
-    [0, 3],
-    [1, 2],
-    [2, 1],
-  ]);
-  const many = Array.from({ length: 1000 }, (_, i) => (i === 503 ? 99 : 1));
-  const kept = thinOut(many, 100);
-  expect(kept.length).toBeLessThanOrEqual(101);
-  expect(Math.max(...kept.map(([, value]) => value))).toBe(99);
-  expect(kept.at(-1)).toEqual([999, 1]);
 });
 
 test("each colour of a curve has dashes of its own, and a reference in grey another", () => {

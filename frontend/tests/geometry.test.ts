@@ -1,8 +1,6 @@
 import { expect, test } from "vitest";
 import { interpolate } from "../src/viewer/lattice";
-import { boundsOf, edge } from "../src/workbench/figure";
 import { invert, mapOf, turnAndScale, type PlaneMap } from "../src/workbench/maps";
-import type { Trace } from "../src/workbench/record";
 
 const TURN = 0.1;
 const turned: PlaneMap = (x, y) => [
@@ -36,22 +34,12 @@ test("turn, scale and mirroring are read from a map", () => {
   expect(turnAndScale((x, y) => [-x, y], 0, 0).mirrored).toBe(true);
 });
 
-test("a round has the polynomial of the last sampled round before it", () => {
-  const trace = {
-    scale: [
-      [2, 0, 1],
-      [0, 2, 0],
-    ],
-    order: 1,
-    centre: [10, 20],
-    spread: 10,
-    rounds: [0, 5],
-    // Terms 1, u and v, each with its two coefficients; one polynomial a sampled round.
-    models: new Float32Array([1, 2, 10, 0, 0, 10, 3, 4, 10, 0, 0, 10]),
-  } as unknown as Trace;
-  expect(mapOf(trace, -1)(3, 4)).toEqual([7, 8]);
-  expect(mapOf(trace, 4)(12, 24)).toEqual([3, 6]);
-  expect(mapOf(trace, 5)(12, 24)).toEqual([5, 8]);
+test("a polynomial is of centred and scaled places", () => {
+  // Terms 1, u and v, each with its two coefficients; u², uv and v² of the second order.
+  const linear = { order: 1, centre: [10, 20] as [number, number], spread: 10 };
+  expect(mapOf({ ...linear, terms: [3, 4, 10, 0, 0, 10] })(12, 24)).toEqual([5, 8]);
+  const bent = { ...linear, order: 2, terms: [0, 0, 0, 0, 0, 0, 1, 0, 0, 1, 2, 0] };
+  expect(mapOf(bent)(30, 50)).toEqual([2 ** 2 + 2 * 3 ** 2, 2 * 3]);
 });
 
 test("a lattice of cubic samples gives an affine map exactly, its edge too", () => {
@@ -71,19 +59,4 @@ test("a lattice of cubic samples gives an affine map exactly, its edge too", () 
     expect(u).toBeCloseTo(truth(x, y)[0], 5);
     expect(v).toBeCloseTo(truth(x, y)[1], 5);
   }
-});
-
-test("a frame is walked clockwise, as the map lays it", () => {
-  const box = boundsOf([
-    [0, 0, 5, 7],
-    [0, 0, 1, 9],
-  ]);
-  expect(box).toEqual([1, 7, 5, 9]);
-  const places = edge(box, (x, y) => [x, y]);
-  expect([places[0], places[12], places[24], places[36]]).toEqual([
-    [1, 7],
-    [5, 7],
-    [5, 9],
-    [1, 9],
-  ]);
 });

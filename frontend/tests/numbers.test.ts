@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
-import { marksOf, quoted, shortest, toCsv } from "../src/viewer/numbers";
-import type { Layer } from "../src/viewer/record";
+import { quoted, shortest, toCsv } from "../src/viewer/numbers";
+import { marksOf, type Layer } from "../src/viewer/record";
 import { describeMillimetres, roundBelow } from "../src/viewer/scalebar";
 import { errorColour, length, px, shareOf, type SessionState } from "../src/workbench/record";
 
@@ -64,10 +64,10 @@ test("what is not known is a dash", () => {
 });
 
 test("errors are shares of what is tolerated, green to red", () => {
-  const session = { residual: new Float32Array([0, 1, 8, NaN]), stop: 2 };
+  const session: Partial<SessionState> = { residual: [0, 1, 8, null], stop: 2 };
   const shares = [0, 1, 2, 3].map((row) => shareOf(session as SessionState, row));
   expect(shares).toEqual([0, 0.5, 1, 0]);
   expect(errorColour(0, 2)).toContain("hsl(130");
   expect(errorColour(9, 2)).toContain("hsl(0");
-  expect(errorColour(NaN, 2)).toBe("var(--soft)");
+  expect(errorColour(null, 2)).toBe("var(--soft)");
 });

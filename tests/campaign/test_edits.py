@@ -108,7 +108,6 @@ def test_a_link_that_leads_nowhere_is_no_file_without_corrections(tmp_path):
 def test_what_a_killed_workbench_left_is_taken_away_and_what_is_held_stays(tmp_path):
     names = [
         "edits.toml.levkas.partial-0123abcd",
-        ".edits.history.json.levkas.partial-0123abcd",
         ".edits.toml.lock",
     ]
     others = [

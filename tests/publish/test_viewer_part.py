@@ -1,6 +1,5 @@
 """The viewer as a part of a publication."""
 
-import json
 import re
 from urllib.parse import unquote
 
@@ -10,27 +9,17 @@ from levkas.database.validation import validate
 from levkas.pages.screen import ScreenMissing, read_built
 
 
-def test_a_publication_has_a_viewer_that_says_licence_and_citation(database, publish):
+@pytest.fixture
+def built():
     try:
         read_built("sheet.js")
     except ScreenMissing:
         pytest.skip("the pages are not built: run `make frontend`")
-    folder = publish(database)
-    assert validate(folder).ok
-    for page in [folder / "index.html", *sorted(folder.glob("viewer/objects/*/index.html"))]:
-        text = page.read_text(encoding="utf-8")
-        assert "Creative Commons Attribution 4.0 International" in text
-        assert "Painter, Ada (2019). Icons of Levkas." in text
-    assert (folder / "viewer/objects/icon2/layers/0/colour").is_dir()
 
 
-def test_every_page_leads_to_what_stands_beside_it(database, publish):
-    try:
-        read_built("sheet.js")
-    except ScreenMissing:
-        pytest.skip("the pages are not built: run `make frontend`")
+def test_every_page_leads_to_what_stands_beside_it(database, publish, built):
     folder = publish(database, iiif=True)
-    assert validate(folder).ok and not (folder / "medium").exists()
+    assert validate(folder).ok
     pages = [folder / "index.html", *sorted(folder.glob("viewer/objects/*/index.html"))]
     pages.append(folder / "README.html")
     for page in pages:
@@ -38,51 +27,11 @@ def test_every_page_leads_to_what_stands_beside_it(database, publish):
         inside = [unquote(link) for link in links if ":" not in link]
         missing = [link for link in inside if not (page.parent / link).is_file()]
         assert inside and missing == []
-    text = pages[1].read_text(encoding="utf-8")
-    for name in ("iiif/icon1/manifest.json", "ro-crate-preview.html"):
-        assert f"../../../{name}" in text
+        assert "Creative Commons Attribution 4.0 International" in page.read_text(encoding="utf-8")
+    assert "../../../iiif/icon1/manifest.json" in pages[1].read_text(encoding="utf-8")
 
 
-FACTS = """
-[publication]
-publisher = "Museum </script> of Levkas"
-doi = "10.5281/zenodo.1234567"
-
-[[publication.creators]]
-name = "Painter, Ada"
-orcid = "0000-0002-1825-0097"
-"""
-
-
-def test_the_landing_page_alone_has_a_record_for_search_engines(database, publish):
-    try:
-        read_built("sheet.js")
-    except ScreenMissing:
-        pytest.skip("the pages are not built: run `make frontend`")
-    from levkas.database.manifest import write_manifest
-
-    path = database / "database.toml"
-    path.write_text(path.read_text(encoding="utf-8") + FACTS, encoding="utf-8")
-    write_manifest(database)
-    folder = publish(database, iiif=False, url="https://example.org/icons/")
-    head = (folder / "index.html").read_text(encoding="utf-8").partition("</head>")[0]
-    (text,) = re.findall(r'<script type="application/ld\+json">(.*?)</script>', head)
-    record = json.loads(text)
-    assert record["@context"] == "https://schema.org/" and record["@type"] == "Dataset"
-    assert record["@id"] == "https://doi.org/10.5281/zenodo.1234567"
-    assert record["license"] == "https://creativecommons.org/licenses/by/4.0/"
-    assert record["creator"][0]["@id"] == "https://orcid.org/0000-0002-1825-0097"
-    assert record["publisher"]["name"] == "Museum </script> of Levkas"
-    assert record["distribution"][0]["contentUrl"] == "https://example.org/icons/catalogue.csv"
-    page = (folder / "viewer/objects/icon1/index.html").read_text(encoding="utf-8")
-    assert "ld+json" not in page
-
-
-def test_a_report_leads_to_the_viewer_once_there_is_one(database, publish):
-    try:
-        read_built("sheet.js")
-    except ScreenMissing:
-        pytest.skip("the pages are not built: run `make frontend`")
+def test_a_report_leads_to_the_viewer_once_there_is_one(database, publish, built):
     from levkas.database.manifest import write_manifest
     from levkas.pages.page import ObjectReport, render_page
 
@@ -112,8 +61,7 @@ def test_without_built_pages_the_viewer_is_left_out_and_that_is_said(database, m
     steps = list(run.publish(database))
     output = run.summarise(steps).output
     assert not (output / "index.html").exists() and validate(output).ok
-    said = [step.what for step in steps if step.part == "viewer" and step.what]
-    assert len(said) == 1 and "left out" in said[0] and "hatch_build.py" in said[0]
+    assert len([step for step in steps if step.part == "viewer" and step.what]) == 1
 
 
 def test_the_first_page_has_the_links_by_which_machines_find_licence_identifier_and_record():

@@ -6,21 +6,12 @@ import { Flicker } from "./flicker";
 import type { Aim, Layer, Pane } from "./pane";
 
 export type Mode =
-  | "single"
-  | "side"
-  | "grid"
-  | "curtain"
-  | "opacity"
-  | "flicker"
-  | "difference"
-  | "checker"
-  | "redcyan";
+  "single" | "side" | "grid" | "curtain" | "opacity" | "flicker" | "difference" | "checker";
 
 export const PAN_STEP = 0.15; // of the height of the view
 const SQUARES = 12; // of the checker, along the longer side
 const COMPOSITIONS: Partial<Record<Mode, string>> = {
   difference: "difference",
-  redcyan: "lighter",
 };
 
 /** What the panes have to show; a pane without an entry keeps what it has. */

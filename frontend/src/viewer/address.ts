@@ -41,24 +41,6 @@ export class Address {
     });
   }
 
-  /** Keep what is chosen from a list; what a fresh page has chosen is left out. */
-  addChoice(name: string, list: HTMLSelectElement, fresh: () => string): void {
-    list.addEventListener("change", () => this.remember());
-    this.add({
-      carried: true,
-      write: (facts) => {
-        if (list.value !== fresh()) facts.set(name, list.value);
-      },
-      read: (facts) => {
-        const wanted = facts.get(name) ?? fresh();
-        if (wanted === list.value || ![...list.options].some(({ value }) => value === wanted))
-          return;
-        list.value = wanted;
-        list.dispatchEvent(new Event("change"));
-      },
-    });
-  }
-
   /** Show what the address holds, now and whenever a link is pasted over it; from then on keep it up to date. */
   start(): void {
     this.recall();

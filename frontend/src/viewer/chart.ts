@@ -16,12 +16,10 @@ import {
   titles,
   upwards,
 } from "../shared/plot";
-import { marksOf } from "./numbers";
-import type { Layer, Mark } from "./record";
-import type { Spectrum } from "./spectra";
+import { marksOf, type Layer, type Mark, type Spectrum } from "./record";
 
 export interface Curve {
-  layer: Pick<Layer, "bands">;
+  layer: Layer;
   spectrum: Spectrum;
   colour: string;
   /** A word of one or two letters at the end of the curve. */
@@ -40,17 +38,13 @@ export interface Sample {
 }
 
 type Doubt = Pick<Mark, "word" | "colour">;
-export type Range = [low: number, top: number];
 
 const BOX = { width: 360, height: 220, left: 52, right: 16, top: 10, bottom: 30 };
 const GAP_NM = 80; // a line is not drawn over a wider gap
 const OUTSIDE = 1; // the flag of a pixel that a camera did not see
 
 /** Draw curves of one quantity; null where there is nothing to draw over wavelength. */
-export function drawChart(
-  curves: Curve[],
-  { quantity, marks, range }: { quantity: string; marks: Mark[]; range: Range | null },
-): SVGElement | null {
+export function drawChart(curves: Curve[], quantity: string, marks: Mark[]): SVGElement | null {
   const series = curves.map((curve) => ({
     colour: curve.colour,
     mark: curve.mark ?? "",
@@ -59,13 +53,11 @@ export function drawChart(
   const all = series.flatMap(({ samples }) => samples);
   if (!all.length) return null;
   const [from, to] = rangeOf(all.map(({ nm }) => nm));
-  const [low, top] = range ?? valueRange(all);
+  const [low, top] = valueRange(all);
   const [x, y] = [across(BOX, from, to), upwards(BOX, low, top)];
   const place = (nm: number, value: number): Point => [x(nm), y(value)];
   const label = `${quantity} over wavelength; the numbers are in the table below`;
   const chart = startChart(BOX, label);
-  chart.dataset["low"] = String(low);
-  chart.dataset["top"] = String(top);
   for (const value of levels(low, top)) {
     const text = String(Number(value.toPrecision(3)));
     chart.append(level(BOX, y(value), text, value ? "grid" : "axis"));
@@ -155,7 +147,7 @@ function drawDoubt(
 
 /** The bands of a curve that have a wavelength and a value, by wavelength. */
 export function samplesOf(
-  { layer, spectrum: { values, sigma, flags } }: Curve,
+  { layer, spectrum: { values, sigma, flags } }: Pick<Curve, "layer" | "spectrum">,
   marks: Mark[],
 ): Sample[] {
   const samples = layer.bands.flatMap(({ wavelength, centroid, fwhm }, i) => {
@@ -192,7 +184,7 @@ const VERBS: Record<string, [singular: string, plural: string]> = {
 };
 
 /** From 0, or the round number below the least value, to the round number above the largest. */
-export function valueRange(samples: Pick<Sample, "value" | "sigma">[]): Range {
+export function valueRange(samples: Pick<Sample, "value" | "sigma">[]): [low: number, top: number] {
   const values = samples.map(({ value }) => value);
   const upper = samples.map(({ value, sigma }) => value + (sigma || 0));
   const least = Math.min(...values);

@@ -1,5 +1,4 @@
 // The button that copies the address of what is shown.
-import { make } from "../shared/element";
 import type { Address } from "./address";
 
 const SAID_MS = 6000;
@@ -12,7 +11,7 @@ export function startCopying(
 ): void {
   let speaking = 0;
   button.addEventListener("click", () => {
-    void copy(address.write(), button).then((done) => {
+    void copy(address.write()).then((done) => {
       clearTimeout(speaking);
       say(sentence(done));
       speaking = window.setTimeout(() => say(""), SAID_MS);
@@ -27,25 +26,12 @@ function sentence(done: boolean): string {
     : "Link copied. It shows what you see now.";
 }
 
-async function copy(text: string, beside: HTMLElement): Promise<boolean> {
+/** Whether the address was copied: pages over http that are not this computer's have no clipboard. */
+async function copy(address: string): Promise<boolean> {
   try {
-    await navigator.clipboard.writeText(text);
+    await navigator.clipboard.writeText(address);
     return true;
   } catch {
-    return copyOldWay(text, beside); // no clipboard for pages over http
-  }
-}
-
-function copyOldWay(text: string, beside: HTMLElement): boolean {
-  const field = make("textarea", { class: "visually-hidden", "aria-hidden": "true" });
-  field.value = text;
-  beside.after(field);
-  field.select();
-  try {
-    // eslint-disable-next-line @typescript-eslint/no-deprecated -- the only way over http
-    return document.execCommand("copy");
-  } finally {
-    field.remove();
-    beside.focus();
+    return false;
   }
 }

@@ -1,9 +1,8 @@
 // Spectra as numbers: a table of bands, and text that a spreadsheet reads.
 import { make, swatch } from "../shared/element";
 import type { Point } from "../shared/pane";
-import type { Layer, Mark } from "./record";
-import type { Spectrum } from "./spectra";
-import { COVERAGE, meanOfPixel, uncertain, uOf, type Uncertain } from "./uncertainty";
+import { marksOf, type Layer, type Mark, type Spectrum } from "./record";
+import { COVERAGE, meanOfPixel, uncertain } from "./uncertainty";
 
 /** What one layer has of a pixel. */
 export interface Reading {
@@ -13,9 +12,6 @@ export interface Reading {
   native: Point | null;
   failure: string;
 }
-
-/** Shown for a bit that the page's record does not name. */
-const UNKNOWN = { word: "unknown flag, not reliable", colour: "#000000", trusted: false };
 
 /** The shortest decimal number that is this float32; ``nan`` where it is not finite. */
 export function shortest(value: number): string {
@@ -45,21 +41,15 @@ export function describeU({ budget }: Layer): string {
 }
 
 /** A pixel's own noise and what its layer's pixels share; null where the latter is not recorded. */
-export function uncertainPixel(layer: Layer, spectrum: Spectrum): Uncertain | null {
+export function uncertainPixel(layer: Layer, spectrum: Spectrum): number[] | null {
   return uncertain(layer, meanOfPixel(spectrum));
 }
 
 /** Two cells: standard and expanded uncertainty of a band; empty where they are not known. */
-export function cellsOfU(one: Uncertain | null, band: number): [u: string, expanded: string] {
-  const u = one ? uOf(one, band) : NaN;
+export function cellsOfU(one: number[] | null, band: number): [u: string, expanded: string] {
+  const u = one?.[band] ?? NaN;
   if (!Number.isFinite(u)) return ["", ""];
   return [shortest(Math.fround(u)), shortest(Math.fround(COVERAGE * u))];
-}
-
-/** The marks of the bits that are set; a bit without a mark is not to be trusted. */
-export function marksOf(bits: number, table: Mark[]): Omit<Mark, "bit">[] {
-  const known = table.reduce((sum, mark) => sum | mark.bit, 0);
-  return [...table.filter((mark) => bits & mark.bit), ...(bits & ~known ? [UNKNOWN] : [])];
 }
 
 /** The channels of a layer in a line, where no wavelength is known: they have no place in a chart. */
@@ -69,7 +59,7 @@ export function describeChannels(layer: Layer, spectrum: Spectrum): string | nul
     return null;
   const sure = uncertainPixel(layer, spectrum);
   const value = (i: number): string =>
-    sure ? plusMinus(spectrum.values[i]!, uOf(sure, i)) : fixed(spectrum.values[i], 3);
+    sure ? plusMinus(spectrum.values[i]!, sure[i]) : fixed(spectrum.values[i], 3);
   return bands.map(({ label }, i) => `${label} ${value(i)}`).join(" · ");
 }
 
@@ -95,7 +85,7 @@ export function numbersTable(readings: Reading[], marks: Mark[]): HTMLElement[] 
 
 interface Cell {
   spectrum: Spectrum;
-  sure: Uncertain | null;
+  sure: number[] | null;
   i: number;
   marks: Mark[];
 }
@@ -106,7 +96,7 @@ function rowOf(label: string, { spectrum, sure, i, marks: table }: Cell): HTMLEl
   value.dataset["value"] = shortest(values[i]!);
   const spread = make("td", { class: "n" }, fixed(sigma?.[i], 4));
   if (sigma) spread.dataset["sigma"] = shortest(sigma[i]!);
-  const expanded = sure ? COVERAGE * uOf(sure, i) : undefined;
+  const expanded = sure ? COVERAGE * sure[i]! : undefined;
   const doubt = make("td", { class: "n" }, fixed(expanded, 4));
   if (expanded) doubt.dataset["expanded"] = String(expanded);
   const marks = marksOf(flags?.[i] ?? 0, table);

@@ -2,18 +2,16 @@
 import { make, saveFile } from "../shared/element";
 import type { Point } from "../shared/pane";
 import { curveSwatch } from "../shared/plot";
-import { saveChart } from "../shared/svgfile";
-import { numbersOf, type Address } from "./address";
-import { describeDoubts, drawChart, type Range } from "./chart";
+import { describeDoubts, drawChart } from "./chart";
 import { Lattice } from "./lattice";
 import { describeChannels, numbersTable, toCsv, type Reading } from "./numbers";
 import type { Layer, PageRecord } from "./record";
 import type { LayerSpectra, Spectra } from "./spectra";
+import { colourOf } from "./state";
 import { COVERAGE } from "./uncertainty";
 
 const NO_CURVE =
   "No curve: no band here has both a wavelength and a value. The values are listed below.";
-const CURVES = 8; // colours of the style sheet, --curve-1 and on
 
 interface Source {
   layer: Layer;
@@ -27,13 +25,10 @@ export class Readout {
   private readonly sources: Source[];
   private readonly place = make("p", { class: "place", role: "status" });
   private readonly drawing = make("div", { class: "drawing" });
-  private readonly keep = make("input", { type: "checkbox" });
-  private range: Range | null = null;
   private readonly key = make("ul", { class: "key" });
   private readonly table = make("table", { class: "numbers" });
   private readonly note = make("p", { class: "note-line soft" });
   private readonly save = make("button", { type: "button", class: "small" }, "Save as CSV");
-  private readonly saveDrawing = make("button", { type: "button", class: "small" }, "Save as SVG");
   private readonly hidden = new Set<Layer>();
   private turn = 0;
   private pixel: Point | null = null;
@@ -44,13 +39,12 @@ export class Readout {
     private readonly record: PageRecord,
     spectra: LayerSpectra,
     private readonly hint: string,
-    address: Address,
   ) {
     this.sources = record.layers
       .filter((layer) => layer.bands.length)
       .map((layer, i) => ({
         layer,
-        colour: `var(--curve-${(i % CURVES) + 1})`,
+        colour: colourOf(i),
         spectra: spectra.get(layer) ?? null,
         lattice: layer.lattice && new Lattice(layer, layer.lattice),
       }));
@@ -63,35 +57,8 @@ export class Readout {
       make("div", scroll, this.table),
       this.note,
     );
-    const keep = make("label", { class: "keep" }, this.keep, " Keep this range of values");
-    host.append(
-      this.place,
-      this.drawing,
-      keep,
-      this.key,
-      numbers,
-      this.save,
-      " ",
-      this.saveDrawing,
-    );
-    this.keep.addEventListener("change", () => {
-      this.render(this.pixel, this.readings);
-      address.remember();
-    });
-    address.add({
-      carried: true,
-      write: (facts) => {
-        if (this.keep.checked && this.range) facts.set("range", this.range.join());
-      },
-      read: (facts) => {
-        const [low, top] = numbersOf(facts, "range", 2) ?? [0, 0];
-        this.keep.checked = top! > low!;
-        if (this.keep.checked) this.range = [low!, top!];
-        this.render(this.pixel, this.readings);
-      },
-    });
+    host.append(this.place, this.drawing, this.key, numbers, this.save);
     this.save.addEventListener("click", () => this.saveTable());
-    this.saveDrawing.addEventListener("click", () => this.saveChart());
     this.clear();
   }
 
@@ -124,20 +91,14 @@ export class Readout {
     );
     const reflectance = curves.filter(({ layer }) => layer.quantity === "reflectance");
     const quantity = reflectance.length ? "Reflectance" : "Counts";
-    const range = this.keep.checked ? this.range : null;
-    const chart = drawChart(reflectance.length ? reflectance : curves, {
-      quantity,
-      marks: this.record.flags,
-      range,
-    });
-    if (chart) this.range = [Number(chart.dataset["low"]), Number(chart.dataset["top"])];
+    const drawn = reflectance.length ? reflectance : curves;
+    const chart = drawChart(drawn, quantity, this.record.flags);
     const empty = pixel && curves.length ? NO_CURVE : "";
     this.drawing.replaceChildren(chart ?? make("div", { class: "chart blank" }, empty));
     this.key.replaceChildren(...readings.map((reading) => this.keyOf(reading)));
     this.table.replaceChildren(...numbersTable(readings, this.record.flags));
     this.note.textContent = explainU(readings);
     this.save.disabled = !pixel;
-    this.saveDrawing.disabled = !chart;
   }
 
   private keyOf({ layer, colour, native, spectrum, failure }: Reading): HTMLElement {
@@ -182,18 +143,6 @@ export class Readout {
       : "";
   }
 
-  private saveChart(): void {
-    const chart = this.drawing.querySelector<SVGElement>("svg");
-    if (!chart || !this.pixel) return;
-    const { object, credits } = this.record;
-    const curves = this.readings
-      .filter(({ layer, spectrum }) => spectrum && !this.hidden.has(layer))
-      .map(({ layer, colour }) => ({ colour, name: layer.name }));
-    const place = `${object.title}, pixel ${this.pixel.join(", ")}${this.millimetres(this.pixel)}`;
-    const caption = { title: place, curves, lines: [place, ...credits] };
-    saveChart(`${object.name}_${this.pixel.join("_")}.svg`, chart, caption);
-  }
-
   private saveTable(): void {
     if (!this.pixel) return;
     const name = `${this.record.object.name}_${this.pixel.join("_")}.csv`;
@@ -205,21 +154,11 @@ export class Readout {
 function explainU(readings: Reading[]): string {
   const known = readings.filter(({ layer, spectrum }) => spectrum && layer.budget);
   if (!known.length) return "";
-  const missing = new Map<string, string[]>();
-  for (const { layer } of known) {
-    const words = layer.budget!.unknown.join(", ");
-    missing.set(words, [...(missing.get(words) ?? []), layer.name]);
-  }
-  missing.delete("");
-  const each = [...missing].map(([words, names]) => `${words} (${names.join(", ")})`);
-  const ofSigma = known.filter(({ layer }) =>
-    layer.budget!.rows.some((row) => row.unit === "sigma"),
+  const missing = known.flatMap(({ layer: { name, budget } }) =>
+    budget!.unknown.length ? `${budget!.unknown.join(", ")} (${name})` : [],
   );
-  const also = ofSigma.map(
-    ({ layer }) => ` Sigma of ${layer.name} has what its prediction misses, too.`,
-  );
-  const not = each.length ? ` Not contained: ${each.join("; ")}.` : "";
-  return `Sigma is the noise of the pixel alone, U with k\u00a0=\u00a0${COVERAGE} also has what all pixels share.${also.join("")}${not}`;
+  const not = missing.length ? ` Not contained: ${missing.join("; ")}.` : "";
+  return `Sigma is the noise of the pixel alone, U with k\u00a0=\u00a0${COVERAGE} also has what all pixels share.${not}`;
 }
 
 async function read(

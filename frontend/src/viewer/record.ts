@@ -41,8 +41,6 @@ export interface SpectraFacts {
   bands: number;
   sigma: boolean;
   flags: boolean;
-  /** Whether the sums of whole tiles stand beside them. */
-  sums?: boolean;
   folder: string;
 }
 
@@ -59,8 +57,6 @@ export interface BudgetRow {
   unit: "relative" | "reflectance" | "counts" | "nm" | "sigma";
   /** Standard uncertainty of each band. */
   size: number[];
-  /** Whether one draw of the error holds for all bands. */
-  shared: boolean;
   /** Whether each line of a scan has a draw of its own. */
   line: boolean;
   /** Value of each band at which the error is nil; 0 where there is none. */
@@ -123,16 +119,37 @@ export interface Mark {
 }
 
 export interface PageRecord {
-  /** What tells this database from others whose pins the browser keeps. */
-  database: string;
-  /** How to cite the database, and its licence. */
-  credits: string[];
   object: { name: string; title: string };
   grid: { width: number; height: number; px_per_mm: number | null };
   reference: string;
   flags: Mark[];
   layers: Layer[];
   links: { sheet: string; report: string; previous: Link | null; next: Link | null };
+}
+
+/** The values of every band, of one pixel or of many. */
+export interface Spectrum {
+  values: Float32Array;
+  sigma: Float32Array | null;
+  flags: Uint8Array | null;
+  /** Of a pixel of a layer whose places are known. */
+  slopes?: Gradient | undefined;
+}
+
+/** Slopes in x and in y of every band, per px, at a place of the grid, from 0 to 1. */
+export interface Gradient {
+  x: ArrayLike<number>;
+  y: ArrayLike<number>;
+  at: [x: number, y: number];
+}
+
+/** Shown for a bit that the page's record does not name. */
+const UNKNOWN = { word: "unknown flag, not reliable", colour: "#000000", trusted: false };
+
+/** The marks of the bits that are set; a bit without a mark is not to be trusted. */
+export function marksOf(bits: number, table: Mark[]): Omit<Mark, "bit">[] {
+  const known = table.reduce((sum, mark) => sum | mark.bit, 0);
+  return [...table.filter((mark) => bits & mark.bit), ...(bits & ~known ? [UNKNOWN] : [])];
 }
 
 /** Read the record that stands in the page. */

@@ -8,19 +8,13 @@ const ROUND = [1, 2, 5];
 export class ScaleBar {
   private readonly bar = make("span", { class: "ruler", "aria-hidden": "true" });
   private readonly text = make("span", {});
-  private readonly beside = make("span", {});
-  readonly element = make("div", { class: "scalebar" }, this.bar, this.text, this.beside);
+  readonly element = make("div", { class: "scalebar" }, this.bar, this.text);
 
   constructor(private readonly pxPerMm: number | null) {}
 
   /** How long the bar is, px of the screen, and what it stands for, as it is shown. */
   get shown(): { width: number; words: string } {
     return { width: parseFloat(this.bar.style.width) || 0, words: this.text.textContent };
-  }
-
-  /** Say something beneath the length. */
-  note(words: string): void {
-    this.beside.textContent = words;
   }
 
   /** Show a round length at `scale` screen pixels a pixel. */

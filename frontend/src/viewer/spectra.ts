@@ -1,48 +1,35 @@
 // Spectra of single pixels, from tiles of script files: the very numbers of the TIFF.
 import type { Point } from "../shared/pane";
-import { marksOf } from "./numbers";
-import type { Layer, Mark, PageRecord, SpectraFacts } from "./record";
-import type { Bounds } from "./shapes";
+import { marksOf, type Layer, type Mark, type PageRecord } from "./record";
+import type { Gradient, SpectraFacts, Spectrum } from "./record";
 import { inflate, loadScript, toBytes } from "./tiles";
-import type { Gradient } from "./uncertainty";
+import type { Mean } from "./uncertainty";
 
-export interface Spectrum {
-  values: Float32Array;
-  sigma: Float32Array | null;
-  flags: Uint8Array | null;
-  /** Of a pixel of a layer whose places are known. */
-  slopes?: Gradient | undefined;
+/** Columns and rows of the first and the last pixel of a rectangle. */
+export type Bounds = [x0: number, y0: number, x1: number, y1: number];
+
+/** The pixels round some places. */
+export function around(points: Point[]): Bounds {
+  const [xs, ys] = [0, 1].map((axis) => points.map((at) => Math.round(at[axis]!)));
+  return [Math.min(...xs!), Math.min(...ys!), Math.max(...xs!), Math.max(...ys!)];
 }
 
-/** Whether a value with these flags counts: no bit but trusted ones; 256 answers. */
-export function soundness(marks: Mark[]): boolean[] {
-  return Array.from({ length: 256 }, (_, bits) =>
-    marksOf(bits, marks).every(({ trusted }) => trusted),
-  );
+/** A mean with the standard deviation of its pixels, n − 1 in the denominator; NaN of fewer than two. */
+export interface Statistics extends Mean {
+  spreads: number[];
 }
 
-export interface Tile extends Spectrum {
+interface Tile extends Spectrum {
   columns: number;
   rows: number;
 }
 
-/** Sound values of one band of a tile: how many, their mean, and sums of squares: of differences from it, and of sigma. */
-export interface Sums {
-  n: number;
-  mean: number;
-  squares: number;
-  noise: number;
-}
-
-type Four = [number, number, number, number];
-
 const KEPT = 24; // tiles a layer
-const AHEAD = 12; // of KEPT, while a region is read
 
 /** The spectra of one layer; tiles are loaded on request, and the last ones kept. */
 export class Spectra {
   private readonly tiles = new Map<string, Promise<Tile>>();
-  private summed: Promise<Float64Array> | null = null;
+  /** Whether a value with these flags counts: no bit but trusted ones. */
   private readonly isSound: boolean[];
 
   constructor(
@@ -50,19 +37,66 @@ export class Spectra {
     private readonly facts: SpectraFacts,
     marks: Mark[],
   ) {
-    this.isSound = soundness(marks);
+    this.isSound = Array.from({ length: 256 }, (_, bits) =>
+      marksOf(bits, marks).every(({ trusted }) => trusted),
+    );
   }
 
   /** Read one pixel; x and y are integers on the grid. */
   async read(x: number, y: number): Promise<Spectrum> {
     const spectrum = await this.pixel(x, y);
-    if (!this.hasPlaces) return spectrum;
-    const here: [Point, Point] = [
-      [x, y],
-      [x, y],
-    ];
-    const slopes = [await this.rise(...here, [1, 0]), await this.rise(...here, [0, 1])] as const;
-    return { ...spectrum, slopes: { x: slopes[0], y: slopes[1], at: this.share([x, y]) } };
+    if (!this.layer.budget?.place) return spectrum;
+    return { ...spectrum, slopes: await this.slopes([x, y, x, y]) };
+  }
+
+  /** Mean, spread and number of the sound pixels of a rectangle, band by band. */
+  async mean(bounds: Bounds): Promise<Statistics> {
+    const { columns, rows, bands } = this.facts;
+    const [x0, y0, x1, y1] = bounds;
+    const [counts, values, squares, noises] = [0, 1, 2, 3].map(() =>
+      new Array<number>(bands).fill(0),
+    ) as [number[], number[], number[], number[]];
+    const take = (tile: Tile, place: number): void => {
+      for (let band = 0, at = place; band < bands; band++, at += tile.columns * tile.rows) {
+        const value = tile.values[at]!;
+        // Of NaN and infinities the difference from itself is not 0.
+        if (value - value !== 0 || (tile.flags && !this.isSound[tile.flags[at]!])) continue;
+        // Welford 1962, 10.1080/00401706.1962.10490022
+        const apart = value - values[band]!;
+        values[band]! += apart / ++counts[band]!;
+        squares[band]! += apart * (value - values[band]!);
+        noises[band]! += (tile.sigma?.[at] ?? 0) ** 2;
+      }
+    };
+    for (let row = Math.floor(y0 / rows); row * rows <= y1; row++)
+      for (let column = Math.floor(x0 / columns); column * columns <= x1; column++) {
+        const tile = await this.tile(column, row);
+        const [left, top] = [column * columns, row * rows];
+        for (let y = Math.max(y0, top); y <= Math.min(y1, top + tile.rows - 1); y++)
+          for (let x = Math.max(x0, left); x <= Math.min(x1, left + tile.columns - 1); x++)
+            take(tile, (y - top) * tile.columns + x - left);
+      }
+    return {
+      values: values.map((value, i) => (counts[i] ? value : NaN)),
+      spreads: squares.map((sum, i) => (counts[i]! > 1 ? Math.sqrt(sum / (counts[i]! - 1)) : NaN)),
+      counts,
+      noises,
+      size: [x1 - x0 + 1, y1 - y0 + 1],
+      slopes: this.layer.budget?.place && (await this.slopes(bounds, counts)),
+    };
+  }
+
+  /** Slopes of the mean of a rectangle, means of central differences: of a line of pixels the ends alone count. */
+  private async slopes([x0, y0, x1, y1]: Bounds, counts?: number[]): Promise<Gradient> {
+    const { width, height, bands } = this.facts;
+    const [x, y] = [0, 1].map(() => new Array<number>(bands).fill(0)) as [number[], number[]];
+    const add = (sums: number[], rises: number[]): void =>
+      rises.forEach((rise, i) => (sums[i]! += rise / (counts?.[i] ?? 1)));
+    for (let row = y0; row <= y1; row++) add(x, await this.rise([x0, row], [x1, row], [1, 0]));
+    for (let at = x0; at <= x1; at++) add(y, await this.rise([at, y0], [at, y1], [0, 1]));
+    const share = (low: number, high: number, size: number): number =>
+      (low + high) / 2 / Math.max(1, size - 1);
+    return { x, y, at: [share(x0, x1, width), share(y0, y1, height)] };
   }
 
   private async pixel(x: number, y: number): Promise<Spectrum> {
@@ -83,7 +117,7 @@ export class Spectra {
   }
 
   /** The sum of the central differences of a run of pixels, along it, of every band; 0 where its ends are not sound. */
-  async rise([x0, y0]: Point, [x1, y1]: Point, along: Point): Promise<number[]> {
+  private async rise([x0, y0]: Point, [x1, y1]: Point, along: Point): Promise<number[]> {
     const [dx, dy] = along;
     const [after, last, first, before] = await Promise.all([
       this.sound(x1 + dx, y1 + dy, along),
@@ -104,85 +138,13 @@ export class Spectra {
       const inwards = x < 0 || y < 0 ? 1 : -1;
       const [u, v] = [inwards * dx, inwards * dy];
       if (x + 2 * u < 0 || y + 2 * v < 0 || x + 2 * u >= width || y + 2 * v >= height)
-        return new Float32Array(this.bands).fill(NaN);
+        return new Float32Array(this.facts.bands).fill(NaN);
       const near = await this.sound(x + u, y + v, [dx, dy]);
       const far = await this.sound(x + 2 * u, y + 2 * v, [dx, dy]);
       return near.map((value, i) => 2 * value - far[i]!);
     }
     const { values, flags } = await this.pixel(x, y);
     return flags ? values.map((value, i) => (this.isSound[flags[i]!] ? value : NaN)) : values;
-  }
-
-  /** Whether it is known how well the layer's places are. */
-  get hasPlaces(): boolean {
-    return this.layer.budget?.place !== undefined;
-  }
-
-  /** Width and height of the grid. */
-  get size(): [width: number, height: number] {
-    return [this.facts.width, this.facts.height];
-  }
-
-  /** Where a place lies on the grid, from 0 to 1. */
-  share([x, y]: Point): Point {
-    const [width, height] = this.size;
-    return [x / Math.max(1, width - 1), y / Math.max(1, height - 1)];
-  }
-
-  /** Bands of the layer. */
-  get bands(): number {
-    return this.facts.bands;
-  }
-
-  /** Columns and rows of the tiles that have pixels of a part of the grid. */
-  placesWithin([x0, y0, x1, y1]: Bounds): Point[] {
-    const { columns, rows, width, height } = this.facts;
-    const [right, bottom] = [Math.min(width - 1, x1), Math.min(height - 1, y1)];
-    const places: Point[] = [];
-    for (let row = Math.max(0, Math.floor(y0 / rows)); row * rows <= bottom; row++)
-      for (let column = Math.max(0, Math.floor(x0 / columns)); column * columns <= right; column++)
-        places.push([column, row]);
-    return places;
-  }
-
-  /** How many columns and rows of the grid have pixels of a part of it. */
-  sizeWithin([x0, y0, x1, y1]: Bounds): [columns: number, rows: number] {
-    const { width, height } = this.facts;
-    const span = (low: number, high: number, end: number): number =>
-      Math.max(0, Math.min(end - 1, Math.floor(high)) - Math.max(0, Math.ceil(low)) + 1);
-    return [span(x0, x1, width), span(y0, y1, height)];
-  }
-
-  /** Where a tile begins on the grid, and its size. */
-  shapeOf([column, row]: Point): [left: number, top: number, columns: number, rows: number] {
-    const { columns, rows, width, height } = this.facts;
-    const [left, top] = [column * columns, row * rows];
-    return [left, top, Math.min(columns, width - left), Math.min(rows, height - top)];
-  }
-
-  /** Read tiles one after the other; some are on their way while one is looked at. */
-  async *readTiles(places: Point[]): AsyncGenerator<Tile> {
-    const coming = places.slice(0, AHEAD).map((place) => this.tile(...place));
-    for (let i = 0; i < places.length; i++) {
-      const next = places[i + AHEAD];
-      if (next) coming.push(this.tile(...next));
-      yield await coming.shift()!;
-    }
-  }
-
-  /** What was published of whole tiles; null where nothing was. */
-  async sums(): Promise<((place: Point, band: number) => Sums) | null> {
-    const { folder, bands, columns, width, sums } = this.facts;
-    if (!sums) return null;
-    this.summed ??= loadScript(`${folder}/sums.js`, `${this.layer.id}/spectra/sums`).then(
-      (text) => new Float64Array(toBytes(String(text)).buffer),
-    );
-    const [table, across] = [await this.summed, Math.ceil(width / columns)];
-    return ([column, row], band) => {
-      const at = 4 * ((row * across + column) * bands + band);
-      const [n, mean, squares, noise] = [0, 1, 2, 3].map((i) => table[at + i]!) as Four;
-      return { n, mean, squares, noise };
-    };
   }
 
   private tile(column: number, row: number): Promise<Tile> {
@@ -199,8 +161,9 @@ export class Spectra {
   }
 
   private async load(column: number, row: number): Promise<Tile> {
-    const { bands, folder, sigma, flags } = this.facts;
-    const [, , columns, rows] = this.shapeOf([column, row]);
+    const { bands, folder, sigma, flags, width, height } = this.facts;
+    const columns = Math.min(this.facts.columns, width - column * this.facts.columns);
+    const rows = Math.min(this.facts.rows, height - row * this.facts.rows);
     const text = await loadScript(
       `${folder}/${column}_${row}.js`,
       `${this.layer.id}/spectra/${column}_${row}`,
@@ -209,16 +172,11 @@ export class Spectra {
     const count = columns * rows * bands;
     const restored = (start: number, octets: number): Uint8Array<ArrayBuffer> =>
       restore(data, { start, columns, rows, bands, octets });
-    let spread: Float32Array | null = null;
     return {
       columns,
       rows,
       values: new Float32Array(restored(0, 4).buffer),
-      // Histograms do not need it.
-      get sigma(): Float32Array | null {
-        spread ??= sigma ? new Float32Array(restored(4 * count, 4).buffer) : null;
-        return spread;
-      },
+      sigma: sigma ? new Float32Array(restored(4 * count, 4).buffer) : null,
       flags: flags ? restored(sigma ? 8 * count : 4 * count, 1) : null,
     };
   }

@@ -6,9 +6,8 @@ import { Pane, type Layer, type PaneOptions, type Point } from "../shared/pane";
 import { Stage, type Mode, type Wanted } from "../shared/stage";
 import { watch } from "../shared/watch";
 import { sourceOf } from "./mixing";
-import { pinColour } from "./pins";
 import type { Picture } from "./record";
-import { SLOTS, type Pin, type Slot, type State } from "./state";
+import { colourOf, SLOTS, type Kept, type Slot, type State } from "./state";
 
 /** A slot on the screen: its pane, the words above it, and the pointer of another pane. */
 export interface Cell {
@@ -73,7 +72,7 @@ export class PaintingStage extends Stage<Pane> {
   }
 
   /** Mark the pixel that is read, if any, and the places that are kept in all panes. */
-  mark(pixel: Point | null, pins: Pin[]): void {
+  mark(pixel: Point | null, kept: Kept[]): void {
     const placement = OpenSeadragon.Placement.CENTER;
     const rotationMode = OpenSeadragon.OverlayRotationMode.NO_ROTATION;
     for (const { pane } of this.cells) {
@@ -82,10 +81,11 @@ export class PaintingStage extends Stage<Pane> {
         const location = pane.toViewport(...place);
         pane.viewer.addOverlay({ element, location, placement, rotationMode });
       };
-      for (const [i, { at }] of pins.entries()) {
+      for (const [i, { kind, points }] of kept.entries()) {
+        if (kind !== "place") continue;
         const element = make("div", { class: "kept-pin", "aria-hidden": "true" }, String(i + 1));
-        element.style.background = pinColour(i);
-        add(element, at);
+        element.style.background = colourOf(i);
+        add(element, points[0]!);
       }
       if (pixel) add(make("div", { class: "pin", "aria-hidden": "true" }), pixel);
     }

@@ -1,8 +1,7 @@
-// What the page of one object shows: pictures in A to D, pins, regions and measures.
+// What the page of one object shows: pictures in A to D, and what is kept of the painting.
 import { signal } from "@preact/signals-core";
 import type { Point } from "../shared/pane";
 import type { Layer, Picture } from "./record";
-import type { Region, Shape } from "./shapes";
 
 export const SLOTS = ["a", "b", "c", "d"] as const;
 export type Slot = (typeof SLOTS)[number];
@@ -12,17 +11,20 @@ export interface Choice {
   picture: Picture;
 }
 
-/** A place that is kept: its name and where it is on the grid, fractions kept. */
-export interface Pin {
+/** What is drawn: of a rectangle two corners, of a length its ends, px of the grid. */
+export type Shape = "rectangle" | "length";
+
+/** Something that is kept: its name and where it is on the grid, fractions kept. */
+export interface Kept {
+  kind: "place" | Shape;
   name: string;
-  at: Point;
+  points: Point[];
 }
 
-/** A length or an area that is measured. */
-export interface Measure extends Shape {
-  name: string;
-  kind: Exclude<Shape["kind"], "place">;
-}
+const CURVES = 8; // colours of the style sheet, --curve-1 and on
+
+/** The colour of the curve, or of what is kept, of a number, from 0. */
+export const colourOf = (number: number): string => `var(--curve-${(number % CURVES) + 1})`;
 
 export class State {
   readonly a = signal<Choice | null>(null);
@@ -32,16 +34,10 @@ export class State {
   readonly d = signal<Choice | null>(null);
   /** The pixel whose spectrum is held, fractions kept. */
   readonly pin = signal<Point | null>(null);
-  /** Places that are kept. */
-  readonly pins = signal<Pin[]>([]);
-  /** Regions that are measured. */
-  readonly regions = signal<Region[]>([]);
-  /** Lengths and areas that are measured. */
-  readonly measures = signal<Measure[]>([]);
-  /** Whether pins and shapes are marked on the painting. */
+  /** Places, rectangles and lengths that are kept. */
+  readonly kept = signal<Kept[]>([]);
+  /** Whether what is kept is marked on the painting. */
   readonly marks = signal(true);
-  /** Whether a grid lies over the painting. */
-  readonly grid = signal(false);
 
   swap(): void {
     const { a, b } = this;

@@ -1,7 +1,5 @@
 // How sure numbers are: what pixels have alone and what they share, combined to first order (JCGM 100:2008, Eq. 13).
-import type { Point } from "../shared/pane";
-import type { Layer, PlaceFacts } from "./record";
-import type { Spectrum } from "./spectra";
+import type { Gradient, Layer, PlaceFacts, Spectrum } from "./record";
 
 /** A mean of pixels: of each band, the sum of their squared sigmas and their number; within how many columns and rows. */
 export interface Mean {
@@ -13,60 +11,35 @@ export interface Mean {
   slopes?: Gradient | undefined;
 }
 
-/** Slopes in x and in y of every band, per px, at a place of the grid, from 0 to 1. */
-export interface Gradient {
-  x: ArrayLike<number>;
-  y: ArrayLike<number>;
-  at: Point;
-}
-
-/** Values, errors that move all bands by these coefficients, and variances that each band has alone. */
-export interface Uncertain {
-  values: number[];
-  shared: number[][];
-  alone: number[];
-}
-
 /** Factor of an expanded uncertainty. */
 export const COVERAGE = 2;
 
 type Known = Pick<Layer, "bands" | "budget">;
 
-/** The mean of some pixels with its errors; null where the errors of the layer are not recorded. */
-export function uncertain(layer: Known, mean: Mean): Uncertain | null {
+/** Standard uncertainty of the mean of some pixels in each band; null where the errors of the layer are not recorded. */
+export function uncertain(layer: Known, mean: Mean): number[] | null {
   if (!layer.budget) return null;
   const { rows, correlation, place } = layer.budget;
   const values = layer.bands.map((_, i) => mean.values[i]!);
   const factor = neighbours(correlation, mean.size);
-  const random = values.map((_, i) => (factor * mean.noises[i]!) / mean.counts[i]! ** 2);
-  const alone = random.map((variance, i) => {
-    const used = rows.reduce(
-      (sum, { unit, size }) => sum + (unit === "sigma" ? size[i]! ** 2 : 0),
-      0,
-    );
-    return variance * Math.max(0, 1 - used);
-  });
-  const shared: number[][] = [];
   const slopes = slopesOf(layer.bands, values);
-  for (const row of rows) {
-    const moves = values.map((value, i) => {
+  const { x, y, at } = mean.slopes ?? { x: [], y: [], at: [0, 0] as const };
+  const sigma = place && mean.slopes ? placeSigma(place, at) : () => 0;
+  return values.map((value, i) => {
+    const random = (factor * mean.noises[i]!) / mean.counts[i]! ** 2;
+    let [variance, used] = [(sigma(i) * Math.hypot(x[i] ?? 0, y[i] ?? 0)) ** 2, 0];
+    for (const { unit, size, zero, pixel, line } of rows) {
+      if (unit === "sigma") used += size[i]! ** 2;
       const by =
-        row.unit === "nm"
+        unit === "nm"
           ? slopes[i]!
-          : row.unit === "sigma"
-            ? Math.sqrt(row.pixel ? random[i]! : mean.noises[i]! / mean.counts[i]!)
-            : moveBy(row.unit, value, row.zero?.[i] ?? 0);
-      return (by * row.size[i]!) / Math.sqrt(row.line ? mean.size[1] : 1);
-    });
-    if (row.shared) shared.push(moves);
-    else moves.forEach((move, i) => (alone[i]! += move * move));
-  }
-  if (place && mean.slopes) {
-    const sigma = placeSigma(place, mean.slopes.at);
-    for (const along of [mean.slopes.x, mean.slopes.y])
-      shared.push(values.map((_, i) => sigma(i) * (along[i] || 0)));
-  }
-  return { values, shared, alone };
+          : unit === "sigma"
+            ? Math.sqrt(pixel ? random : mean.noises[i]! / mean.counts[i]!)
+            : moveBy(unit, value, zero?.[i] ?? 0);
+      variance += (by * size[i]!) ** 2 / (line ? mean.size[1] : 1);
+    }
+    return Math.sqrt(variance + random * Math.max(0, 1 - used));
+  });
 }
 
 /** By how much an error of size 1 moves a value; one that is nil at a value has the other sign beyond it. */
@@ -78,7 +51,7 @@ function moveBy(unit: "relative" | "reflectance" | "counts", value: number, zero
 /** How well the place of a band is known at a place of the grid, 0 to 1: linear between the places of its table. */
 function placeSigma(
   { columns, rows, tables, of }: PlaceFacts,
-  [x, y]: Point,
+  [x, y]: readonly [number, number],
 ): (band: number) => number {
   const cell = (at: number, count: number): [first: number, share: number] => {
     const place = Math.min(1, Math.max(0, at)) * (count - 1);
@@ -137,36 +110,4 @@ export function slopesOf(bands: Known["bands"], values: number[]): number[] {
           : weight * before + (1 - weight) * after;
   });
   return slopes;
-}
-
-type Slopes = [band: number, slope: number][];
-
-/** Standard uncertainty of a function of the bands, by its slope in each of some of them. */
-export function sigmaOf({ shared, alone }: Uncertain, slopes: Slopes): number {
-  const add = (sum: number, row: number[]): number =>
-    sum + slopes.reduce((move, [i, slope]) => move + slope * row[i]!, 0) ** 2;
-  const own = slopes.reduce((sum, [i, slope]) => sum + slope * slope * alone[i]!, 0);
-  return Math.sqrt(shared.reduce(add, own));
-}
-
-/** Standard uncertainty of one band. */
-export const uOf = (one: Uncertain, band: number): number => sigmaOf(one, [[band, 1]]);
-
-export type Estimate = [value: number, u: number];
-
-/** Ratio and difference of two bands, each with its standard uncertainty; what both share leaves the ratio. */
-export function compare(
-  one: Uncertain,
-  a: number,
-  b: number,
-): [ratio: Estimate, difference: Estimate] {
-  const [first, second] = [one.values[a]!, one.values[b]!];
-  const slopes = (by: number, against: number): Slopes => [
-    [a, by],
-    [b, against],
-  ];
-  return [
-    [first / second, sigmaOf(one, slopes(1 / second, -first / second ** 2))],
-    [first - second, sigmaOf(one, slopes(1, -1))],
-  ];
 }

@@ -20,13 +20,11 @@ import { startTheme } from "../shared/theme";
 import { watch } from "../shared/watch";
 import { Address, numbersOf } from "./address";
 import { Drawing } from "./drawing";
+import { KeptList } from "./kept";
 import { LayerList } from "./layers";
 import { startCopying } from "./linking";
-import { MeasurePanel } from "./measures";
-import { PinList } from "./pins";
 import { Readout } from "./readout";
 import { readRecord } from "./record";
-import { RegionPanel } from "./regions";
 import { ScaleBar } from "./scalebar";
 import { openSpectra } from "./spectra";
 import { PaintingStage } from "./stage";
@@ -47,23 +45,13 @@ const size: Point = [width, height];
 const stage = new PaintingStage(find("stage"), size, state);
 const layers = new LayerList(find("layers"), record, state);
 const spectra = openSpectra(record);
-const readout = new Readout(find("spectrum"), record, spectra, HINT, address);
+const readout = new Readout(find("spectrum"), record, spectra, HINT);
 const go = (place: Point): void => {
   state.pin.value = place;
   stage.look(...place, stage.heading[2], false);
 };
-const pins = new PinList(find("pins"), record, spectra, state, go, address);
 const drawing = new Drawing(stage.cells.map(({ pane }) => pane));
-const inView = (): [Point, Point] => {
-  const box = stage.left.host.getBoundingClientRect();
-  const [low, high] = [
-    stage.left.pixelAt(box.left, box.top),
-    stage.left.pixelAt(box.right, box.bottom),
-  ];
-  return [within(low), within(high)];
-};
-new RegionPanel(find("regions"), record, spectra, state, drawing, inView, address);
-const measures = new MeasurePanel(find("measures"), record, state, drawing, address);
+const kept = new KeptList(find("kept"), record, spectra, state, drawing, go, address);
 const scaleBar = new ScaleBar(record.grid.px_per_mm);
 
 startTheme(find<HTMLButtonElement>("theme"));
@@ -84,10 +72,6 @@ watch([stage.mode, state.c, state.d], () => {
   if (stage.mode.value === "grid") layers.fillGrid();
 });
 watch([state.a, state.b, state.c, state.d], () => void stage.load());
-watch([state.grid], () => {
-  measures.scaleGrid(stage.left.scale, scaleBar);
-  drawing.render();
-});
 
 // --- the pixel under the cursor -------------------------------------------------------------------
 
@@ -112,7 +96,7 @@ effect(() => void find("stage").classList.toggle("bare", !state.marks.value));
 effect(() => {
   const pin = state.pin.value;
   document.body.classList.toggle("reading", pin !== null);
-  stage.mark(pin, state.pins.value);
+  stage.mark(pin, state.kept.value);
   if (pin) void readout.show(pin, true);
   else readout.clear();
 });
@@ -211,18 +195,17 @@ const keys: Key[] = [
     "Keep the pinned place; while drawing: use it, or the middle, as a corner",
     () => {
       if (drawing.active) drawing.add(state.pin.value ?? stage.left.centre);
-      else pins.keep();
+      else kept.keep();
     },
   ),
-  key("M", ["m"], "Measure a length", () => void measures.start("line")),
-  key("G", ["g"], "Grid on and off", () => (state.grid.value = !state.grid.value)),
+  key("M", ["m"], "Measure a length", () => void kept.start("length")),
+  key("G", ["g"], "Measure a rectangle", () => void kept.start("rectangle")),
   key(
     "H",
     ["h"],
     "Marks on the painting on and off",
     () => (state.marks.value = !state.marks.value),
   ),
-  key("Enter", ["Enter"], "End the line or polygon that is drawn", () => drawing.close()),
   key("Esc", ["Escape"], "Cancel the drawing, or remove the pin", () => {
     if (drawing.active) drawing.cancel();
     else state.pin.value = null;
@@ -288,11 +271,10 @@ if (layers.layers.length) {
   stage.onMove = () => {
     scaleBar.update(stage.left.scale);
     bar.update();
-    measures.scaleGrid(stage.left.scale, scaleBar);
     drawing.render();
     address.remember();
   };
 }
 
 // For tests and for the curious: the parts by name.
-Object.assign(window, { levkasViewer: { stage, layers, state, readout, pins, record } });
+Object.assign(window, { levkasViewer: { stage, layers, state, readout, record } });

@@ -1,10 +1,8 @@
-// The session as the server tells it: frames by name, counts, what is missing.
+// The session as the server tells it: frames, counts, what is missing.
 
 export type Verdict = "green" | "look" | "stop" | "waiting";
 
 export interface Finding {
-  check: string;
-  severity: "look" | "stop";
   text: string;
   advice: string;
 }
@@ -16,24 +14,16 @@ export interface Frame {
   setup: string;
   role: string;
   target: string;
-  band: string;
   verdict: Verdict;
   findings: Finding[];
   at: number;
 }
 
-export interface Missing {
-  kind: string;
-  what: string;
-  why: string;
-}
-
-export interface News {
+export interface Session {
   folder: string;
   counts: Record<Verdict, number>;
   frames: Frame[];
-  gone: string[];
-  missing: Missing[];
+  missing: { kind: string; what: string; why: string }[];
   guessed: boolean;
   strays: string[];
   problems: string[];
@@ -42,62 +32,28 @@ export interface News {
 
 const ORDER: Verdict[] = ["stop", "look", "waiting", "green"];
 
-/** Everything that is known, and what came last. */
-export class Session {
-  readonly frames = new Map<string, Frame>();
-  news: News | null = null;
-  newest: Frame | null = null;
-  private begun = false;
-
-  /** Take in what changed; return the frames that are new since the page was opened. */
-  take(news: News): Frame[] {
-    this.news = news;
-    for (const name of news.gone) this.frames.delete(name);
-    for (const frame of news.frames) this.frames.set(frame.name, frame);
-    if (this.newest && !this.frames.has(this.newest.name)) this.newest = null;
-    const judged = news.frames.filter(({ verdict }) => verdict !== "waiting");
-    // Of some that come together the gravest is shown; of the frames that were there, the last.
-    const shown = this.begun ? gravest(judged) : lastFirst(judged)[0];
-    if (shown) this.newest = shown;
-    else if (this.newest) this.newest = this.frames.get(this.newest.name) ?? null;
-    const fresh = this.begun ? judged : [];
-    this.begun = true;
-    return fresh;
-  }
-
-  /** Frames that are not well, the gravest first, of equals the last first. */
-  faults(): Frame[] {
-    const some = [...this.frames.values()].filter(({ findings }) => findings.length);
-    return lastFirst(some).sort((a, b) => rank(a) - rank(b));
-  }
-
-  /** Frames by camera, setup and what they show. */
-  groups(): Map<string, Frame[]> {
-    const found = new Map<string, Frame[]>();
-    for (const frame of this.frames.values()) {
-      const camera = frame.setup ? `${frame.camera}@${frame.setup}` : frame.camera;
-      const key = `${camera} · ${frame.role === "object" ? frame.target : frame.role}`;
-      const group = found.get(key);
-      if (group) group.push(frame);
-      else found.set(key, [frame]);
-    }
-    for (const group of found.values()) group.sort((a, b) => a.at - b.at);
-    return new Map([...found].sort(([a], [b]) => a.localeCompare(b, "en", { numeric: true })));
-  }
+/** The frame to show: of some that come together the gravest, of those that were there at first the last. */
+export function newestOf({ frames }: Session, before: Session | null): Frame | undefined {
+  const known = new Map(before?.frames.map((frame) => [frame.name, JSON.stringify(frame)]));
+  const fresh = frames.filter((one) => known.get(one.name) !== JSON.stringify(one));
+  const judged = lastFirst(fresh.filter(({ verdict }) => verdict !== "waiting"));
+  return before ? judged.sort(byVerdict)[0] : judged[0];
 }
 
-/** Frames by time, the last first; of the same time the one that is listed last. */
-function lastFirst(frames: Frame[]): Frame[] {
-  return [...frames].reverse().sort((a, b) => b.at - a.at);
+/** Frames that are not well, the gravest first, of equals the last first. */
+export function faultsOf(frames: Frame[]): Frame[] {
+  return lastFirst(frames.filter(({ findings }) => findings.length)).sort(byVerdict);
 }
 
-function rank(frame: Frame): number {
-  return ORDER.indexOf(frame.verdict);
-}
-
-/** The frame with the gravest verdict, of equals the last; undefined of none. */
-export function gravest(frames: Frame[]): Frame | undefined {
-  return lastFirst(frames).sort((a, b) => rank(a) - rank(b))[0];
+/** Frames by camera, setup and what they show. */
+export function groupsOf(frames: Frame[]): Map<string, Frame[]> {
+  const found = new Map<string, Frame[]>();
+  for (const frame of [...frames].sort((a, b) => a.at - b.at)) {
+    const camera = frame.setup ? `${frame.camera}@${frame.setup}` : frame.camera;
+    const key = `${camera} · ${frame.role === "object" ? frame.target : frame.role}`;
+    found.set(key, [...(found.get(key) ?? []), frame]);
+  }
+  return new Map([...found].sort(([a], [b]) => a.localeCompare(b, "en", { numeric: true })));
 }
 
 /** A sentence as it stands alone. */
@@ -105,23 +61,10 @@ export function sentence(text: string): string {
   return `${text.slice(0, 1).toUpperCase()}${text.slice(1)}.`;
 }
 
-/** The list to file or to print, as plain text. */
-export function asText({ folder, counts, missing }: News, faults: Frame[]): string {
-  const lines = [
-    `${folder}: ${counts.green} green, ${counts.look} look, ${counts.stop} stop`,
-    "",
-    "Before the object leaves",
-    ...(missing.length
-      ? missing.map(
-          ({ kind, what, why }) => `[ ] ${what}${kind === "again" ? " again" : ""} (${why})`,
-        )
-      : ["nothing is missing"]),
-    "",
-    "Frames to look at",
-    ...faults.flatMap(({ name, verdict, what, findings }) => [
-      `${verdict}  ${what}  ${name}`,
-      ...findings.map(({ text, advice }) => `      ${sentence(text)} ${sentence(advice)}`),
-    ]),
-  ];
-  return `${lines.join("\n")}\n`;
+/** Frames by time, the last first; of the same time the one that is listed last. */
+function lastFirst(frames: Frame[]): Frame[] {
+  return [...frames].reverse().sort((a, b) => b.at - a.at);
 }
+
+const byVerdict = (a: Frame, b: Frame): number =>
+  ORDER.indexOf(a.verdict) - ORDER.indexOf(b.verdict);

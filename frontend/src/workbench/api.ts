@@ -40,11 +40,6 @@ export async function getJson<T>(path: string, body?: unknown): Promise<T> {
   return (await (await request(path, body)).json()) as T;
 }
 
-/** Get an answer in columns; with a body it is a change. */
-export async function getBytes(path: string, body?: unknown): Promise<ArrayBuffer> {
-  return (await request(path, body)).arrayBuffer();
-}
-
 async function request(path: string, body?: unknown): Promise<Response> {
   const how: RequestInit =
     body === undefined

@@ -1,8 +1,8 @@
 // What the map of the default method rests on: windows with their shifts, and windows that were searched freely.
 import { effect } from "@preact/signals-core";
-import { make, saveFile } from "../shared/element";
+import { make } from "../shared/element";
+import type { Point } from "../shared/pane";
 import { ink, onTheme } from "../shared/theme";
-import { placeTurned } from "./figure";
 import type { PlaneMap } from "./maps";
 import { px, type Basis, type FrameInfo, type Windows } from "./record";
 import type { Store } from "./store";
@@ -13,35 +13,29 @@ const MARGIN = 0.05;
 const LINE = 12; // about the length of the longer shifts as drawn, units
 const LIGHT = 0.5; // windows of less weight are drawn faintly
 const LEGEND =
-  "Above: windows to which the map was fitted; each line leads from the place given by the map to the place found in the picture. " +
-  "Below: check windows, searched without the map. Filled: they agree with the map. Red: they lie elsewhere. Hollow: they were not found.";
+  "Each line leads from the place given by the map to the place found in the picture. " +
+  "Circles: windows searched without the map. Filled: they agree with it. Red: they lie elsewhere. Hollow: they were not found.";
 
 export class BasisView {
   readonly root: HTMLElement;
-  private readonly windows = canvas("Windows that the map was fitted to");
-  private readonly checks = canvas("Windows that check the map");
+  private readonly canvas = make("canvas", {
+    ...{ width: DENSITY * WIDTH, height: DENSITY * HEIGHT },
+    ...{
+      role: "img",
+      "aria-label": "Windows that the map was fitted to, and windows that check it",
+    },
+  });
   private readonly words = make("p", { class: "status", id: "basis-words" });
 
   constructor(private readonly store: Store) {
-    const title =
-      "Places, shifts, sigma, held-out errors and weights of the windows that are drawn";
-    const save = make("button", { type: "button", class: "small", title }, "Save as CSV");
     this.root = make(
       "section",
       { class: "card basis", "aria-labelledby": "basis-head", hidden: true },
       make("h2", { id: "basis-head" }, "Evidence for the map"),
-      this.windows,
+      this.canvas,
       this.words,
-      this.checks,
       make("p", { class: "soft" }, LEGEND),
-      make("div", { class: "actions" }, save),
     );
-    save.addEventListener("click", () => {
-      const frame = store.frame.peek();
-      if (!frame?.basis) return;
-      const name = [frame.object, frame.camera, frame.sensor, "windows"].filter(Boolean).join("_");
-      saveFile(`${name}.csv`, windowsTable(frame.basis.windows), "text/csv");
-    });
     effect(() => this.draw());
     onTheme(() => this.draw());
   }
@@ -51,35 +45,41 @@ export class BasisView {
     const basis = frame?.basis;
     this.root.hidden = !basis;
     if (!frame || !basis) return;
-    const turned = placeTurned(frame.size, frame.turn, [WIDTH, HEIGHT], MARGIN);
-    const place: PlaneMap = (x, y) => turned.place(x + 0.5, y + 0.5);
-    const times = enlargement(basis.windows, LINE / turned.scale);
-    const along: PlaneMap = (x, y) => turned.direction(times * x, times * y);
-    drawWindows(start(this.windows, frame, place), basis.windows, place, along);
-    this.checks.hidden = !basis.checks;
-    if (basis.checks) drawChecks(start(this.checks, frame, place), basis.checks, place);
+    const { place, scale, direction } = turned(frame);
+    const times = enlargement(basis.windows, LINE / scale);
+    const context = this.canvas.getContext("2d")!;
+    context.setTransform(DENSITY, 0, 0, DENSITY, 0, 0);
+    context.clearRect(0, 0, WIDTH, HEIGHT);
+    const [left, top] = place(-0.5, -0.5);
+    const [right, bottom] = place(frame.size[0] - 0.5, frame.size[1] - 0.5);
+    context.strokeStyle = ink("--ink");
+    context.strokeRect(left, top, right - left, bottom - top); // of negative width where it is turned
+    drawWindows(context, basis.windows, place, (x, y) => direction(times * x, times * y));
+    if (basis.checks) drawChecks(context, basis.checks, place);
     this.words.textContent = describe(basis, times);
   }
 }
 
-function canvas(label: string): HTMLCanvasElement {
-  const [width, height] = [DENSITY * WIDTH, DENSITY * HEIGHT];
-  return make("canvas", { width, height, role: "img", "aria-label": label });
-}
-
-function start(
-  on: HTMLCanvasElement,
-  { size }: FrameInfo,
-  place: PlaneMap,
-): CanvasRenderingContext2D {
-  const context = on.getContext("2d")!;
-  context.setTransform(DENSITY, 0, 0, DENSITY, 0, 0);
-  context.clearRect(0, 0, WIDTH, HEIGHT);
-  const [left, top] = place(-0.5, -0.5);
-  const [right, bottom] = place(size[0] - 0.5, size[1] - 0.5);
-  context.strokeStyle = ink("--ink");
-  context.strokeRect(left, top, right - left, bottom - top); // of negative width where it is turned
-  return context;
+/** Bring the reference into the middle of the drawing, turned clockwise by quarters. */
+function turned({ size: [width, height], turn }: FrameInfo): {
+  place: PlaneMap;
+  scale: number;
+  direction: PlaneMap;
+} {
+  const [wide, tall] = turn % 180 ? [height, width] : [width, height];
+  const scale = (1 - 2 * MARGIN) * Math.min(WIDTH / wide, HEIGHT / tall);
+  const [cosine, sine] = [0, 1].map((quarter) =>
+    Math.round(Math.cos(((turn - 90 * quarter) * Math.PI) / 180)),
+  ) as Point;
+  const direction: PlaneMap = (x, y) => [
+    scale * (cosine * x - sine * y),
+    scale * (sine * x + cosine * y),
+  ];
+  const place: PlaneMap = (x, y) => {
+    const [dx, dy] = direction(x + 0.5 - width / 2, y + 0.5 - height / 2);
+    return [WIDTH / 2 + dx, HEIGHT / 2 + dy];
+  };
+  return { place, scale, direction };
 }
 
 function drawWindows(
@@ -119,13 +119,6 @@ function drawChecks(
     if (checks.found[i]) context.fill();
     context.stroke();
   });
-}
-
-/** Windows as CSV, px of the reference; empty where a number is not known. */
-export function windowsTable(windows: Windows): string {
-  const names = ["x", "y", "shift_x", "shift_y", "sigma", "held_out", "weight"] as const;
-  const lines = windows.x.map((_, i) => names.map((name) => windows[name][i] ?? "").join());
-  return [names.join(), ...lines, ""].join("\n");
 }
 
 /** Whether a window that was searched freely lies where the map puts it. */

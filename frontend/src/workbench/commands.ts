@@ -2,14 +2,12 @@
 import { ARROWS, direction, isCommand, key, type Key } from "../shared/keys";
 import type { PairCard } from "./pair";
 import type { Mode } from "../shared/stage";
-import { LOUPES } from "./loupe";
 import { MODES, type PairStage } from "./stage";
 import type { Store } from "./store";
 import type { PairTable } from "./table";
 
 const ZOOM_STEP = 1.5;
 const NUDGE_PX = 0.1;
-const ARROW_TIMES = 20;
 /** Of the ways to show two pictures; docs/screens.md has the keys of all screens. */
 const LETTERS: Partial<Record<Mode, string>> = {
   side: "S",
@@ -17,7 +15,6 @@ const LETTERS: Partial<Record<Mode, string>> = {
   flicker: "K",
   difference: "D",
   checker: "B",
-  redcyan: "Y",
 };
 
 export interface Parts {
@@ -74,7 +71,7 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
     key("W", ["w"], "go to the worst pair", goToWorst),
     {
       keys: ["Ctrl-Z"],
-      words: "undo, without end",
+      words: "undo",
       match: (event) => isLetter(event, "z") && !event.shiftKey,
       act: () => store.edit({ operation: "undo" }),
     },
@@ -132,18 +129,11 @@ function viewKeys({ stage, step, help }: Parts): Key[] {
       "turn the pictures by 90°, with Shift back; before there is a map that to register alone, if it has the focus",
       (event) => stage.turn(event.shiftKey ? -90 : 90),
     ),
-    key(
-      "H",
-      ["h"],
-      `marks on and off; with Shift residuals as arrows × ${ARROW_TIMES}`,
-      (event) => {
-        if (event.shiftKey) stage.times.value = stage.times.value === 1 ? ARROW_TIMES : 1;
-        else stage.marks.value = !stage.marks.value;
-      },
-    ),
-    key("L", ["l"], "loupe: while placing, always, never", () => {
-      const at = LOUPES.findIndex(({ value }) => value === stage.loupes.use.value);
-      stage.loupes.use.value = LOUPES[(at + 1) % LOUPES.length]!.value;
+    key("H", ["h"], "marks on and off", () => {
+      stage.marks.value = !stage.marks.value;
+    }),
+    key("L", ["l"], "loupes while placing on and off", () => {
+      stage.loupes.use.value = !stage.loupes.use.value;
     }),
     key("+ -", ["+", "-", "="], "zoom", (event) =>
       stage.zoom(event.key === "-" ? 1 / ZOOM_STEP : ZOOM_STEP),

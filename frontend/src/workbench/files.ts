@@ -1,8 +1,8 @@
 // Control points of other programs: in and out.
 import { make, saveFile } from "../shared/element";
 import { openableDialog } from "../shared/keys";
-import { getBytes, getJson, messageOf } from "./api";
-import { readSession } from "./columns";
+import { getJson, messageOf } from "./api";
+import type { SessionState } from "./record";
 import type { Store } from "./store";
 
 const CHUNK = 0x8000; // bytes that one call makes characters of
@@ -56,9 +56,11 @@ async function exportPoints(store: Store): Promise<string> {
 async function importPoints(store: Store, file: File): Promise<string> {
   const data = await encode(file);
   let answer = "";
-  await store.take(async (pairs) => {
-    const body = await getBytes(`${store.path}/import`, { file: data });
-    const session = readSession<{ imported: number; known: number }>(body, pairs);
+  await store.take(async () => {
+    const session = await getJson<SessionState & { imported: number; known: number }>(
+      `${store.path}/import`,
+      { file: data },
+    );
     const { imported, known } = session;
     answer = `${imported} ${imported === 1 ? "pair was" : "pairs were"} imported; ${known} in the file exist already or are disabled.`;
     return session;

@@ -1,19 +1,9 @@
 // A loupe in a corner of a picture: the surroundings of a place, magnified and turned as the picture is.
-import type { Option } from "../shared/controls";
 import { signal } from "@preact/signals-core";
 import { make } from "../shared/element";
 import type { Layer, Point } from "../shared/pane";
-import { invert, turnAndScale, type PlaneMap } from "./maps";
+import { turnAndScale, type PlaneMap } from "./maps";
 import type { Half, Pair } from "./record";
-
-/** When the loupe is there: while a pair is chosen, proposed or dragged; wherever the pointer is; never. */
-export type LoupeUse = "placing" | "always" | "never";
-
-export const LOUPES: Option<LoupeUse>[] = [
-  { value: "placing", label: "Loupe: placing" },
-  { value: "always", label: "Loupe: always" },
-  { value: "never", label: "Loupe: never" },
-];
 
 interface Enlarged {
   layer: Layer;
@@ -51,7 +41,8 @@ export interface LoupeScene {
 
 /** A loupe for either picture. */
 export class LoupePair {
-  readonly use = signal<LoupeUse>("placing");
+  /** Whether they are there while a pair is chosen, proposed or dragged. */
+  readonly use = signal(true);
   readonly left = new Loupe();
   readonly right = new Loupe();
   private pointer: { half: Half; at: Point } | null = null;
@@ -79,16 +70,16 @@ export class LoupePair {
 
   private enlarged(): [Enlarged | null, Enlarged | null] {
     const [use, scene] = [this.use.peek(), this.scene()];
-    if (!scene || use === "never" || (use === "placing" && !scene.pair)) return [null, null];
+    if (!scene?.pair || !use) return [null, null];
     const { layers, pair, map, begun, degrees } = scene;
     const pointer = scene.dragged ? null : this.pointer;
-    const [here, there] = placesOf({ pair, pointer, follows: use === "always", begun, map });
+    const [here, there] = placesOf(pair, pointer, begun);
     const scale = Math.max(LEAST, TIMES * scene.scale);
-    const turn = map && there ? turnAndScale(map, ...there) : null;
+    const turn = map ? turnAndScale(map, ...there) : null;
     const turned = degrees[1] + (turn && !turn.mirrored ? turn.degrees : 0);
     return [
-      here && { layer: layers[0], at: here, scale, degrees: degrees[0] },
-      there && { layer: layers[1], at: there, scale: scale * (turn?.scale ?? 1), degrees: turned },
+      { layer: layers[0], at: here, scale, degrees: degrees[0] },
+      { layer: layers[1], at: there, scale: scale * (turn?.scale ?? 1), degrees: turned },
     ];
   }
 }
@@ -140,37 +131,18 @@ class Loupe {
   }
 }
 
-/**
- * The places in either picture that the loupes show; null for none.
- *
- * Those of the pair that is placed; while a pair is proposed that was begun in one picture, what is under
- * the pointer in the other; where the loupes follow the pointer, what is under it, and its partner by the map.
- */
-export function placesOf({
-  pair,
-  pointer,
-  follows,
-  begun,
-  map,
-}: {
-  pair: Pair | null;
-  pointer: { half: Half; at: Point } | null;
-  follows: boolean;
-  begun: Half | null;
-  map: PlaneMap | null;
-}): [Point | null, Point | null] {
-  const here: Point | null = pair && [pair[0], pair[1]];
-  const there: Point | null = pair && [pair[2], pair[3]];
-  if (!pointer) return [here, there];
-  const { half, at } = pointer;
-  if (follows && half === 0) return [at, map ? finite(invert(map, at, there ?? at)) : there];
-  if (follows) return [map ? finite(map(...at)) : here, at];
-  if (begun === null || begun === half) return [here, there];
-  return half === 0 ? [at, there] : [here, at];
-}
-
-function finite(place: Point): Point | null {
-  return place.every(Number.isFinite) ? place : null;
+/** The places that the loupes show: of the pair; of a pair begun in one picture what is under the pointer in the other. */
+export function placesOf(
+  [x, y, targetX, targetY]: Pair,
+  pointer: { half: Half; at: Point } | null,
+  begun: Half | null,
+): [Point, Point] {
+  const [here, there]: [Point, Point] = [
+    [x, y],
+    [targetX, targetY],
+  ];
+  if (!pointer || begun === null || begun === pointer.half) return [here, there];
+  return pointer.half === 0 ? [pointer.at, there] : [here, pointer.at];
 }
 
 /** Columns and rows of the tiles within a circle of `breadth` px about a place. */

@@ -3,7 +3,7 @@ import { effect } from "@preact/signals-core";
 import "../shared/base.css";
 import { BasisView } from "./basis";
 import "./workbench.css";
-import { GAIN, radioGroup, slider, type Option } from "../shared/controls";
+import { GAIN, radioGroup, slider } from "../shared/controls";
 import { make, refill } from "../shared/element";
 import { RATES } from "../shared/flicker";
 import { helpDialog, listenToKeys } from "../shared/keys";
@@ -12,19 +12,16 @@ import { enter, messageOf, Refusal } from "./api";
 import { cameraList } from "./cameras";
 import { commands } from "./commands";
 import { filesDialog } from "./files";
-import { LOUPES } from "./loupe";
-import { MapLayer } from "./maplayer";
 import { PairCard } from "./pair";
-import { MODES, PairStage, TIMES } from "./stage";
+import { MODES, PairStage } from "./stage";
 import { Store } from "./store";
 import { PairTable } from "./table";
-import { TraceView } from "./trace";
 import { VerdictCard } from "./verdict";
 
 const BEFORE_KEYS =
   "Drag to pan, turn the wheel to zoom. Click a place: its partner in the other picture is found, or click the partner yourself; Enter adds the pair. In the overlays a click measures how far off the pictures are there.";
 const AFTER_KEYS =
-  "Every change is saved at once in edits.toml and can be undone at any time, also after a restart; levkas build applies the changes. Fast flicker can trouble people with photosensitive epilepsy.";
+  "Every change is saved at once in edits.toml and can be undone; levkas build applies the changes. Fast flicker can trouble people with photosensitive epilepsy.";
 
 async function start(): Promise<void> {
   const store = new Store();
@@ -70,13 +67,12 @@ function build(store: Store): void {
   const views = make("div", { class: "views", "data-mode": "side" });
   const [nav, bar, refused] = [make("div"), make("div", { class: "bar" }), refusal(store)];
   const table = new PairTable(store);
-  const [pair, verdict, basis, trace] = [
+  const [pair, verdict, basis] = [
     new PairCard(store),
     new VerdictCard(store),
     new BasisView(store),
-    new TraceView(store),
   ];
-  const tools = [verdict.root, pair.root, basis.root, trace.root];
+  const tools = [verdict.root, pair.root, basis.root];
   const aside = make("aside", { "aria-label": "Verdict and tools" }, ...tools);
   const [top, opened] = header(store);
   document.body.append(
@@ -119,7 +115,7 @@ function build(store: Store): void {
     if (chosen && !stage.sees(chosen)) stage.flyTo(chosen);
   };
   listenToKeys(keys);
-  Object.assign(window, { levkasWorkbench: { store, stage, trace } });
+  Object.assign(window, { levkasWorkbench: { store, stage } });
 }
 
 /** The line at the top, and the buttons of it that open dialogs. */
@@ -127,7 +123,7 @@ function header(store: Store): [HTMLElement, { help: HTMLElement; files: HTMLEle
   const button = (words: string, facts: Record<string, string>): HTMLButtonElement =>
     make("button", { type: "button", class: "small", ...facts }, words);
   const title = make("h1", {});
-  const undo = button("Undo", { id: "undo", title: "Ctrl-Z; reaches back to earlier days" });
+  const undo = button("Undo", { id: "undo", title: "Ctrl-Z" });
   const redo = button("Redo", { id: "redo", title: "Ctrl-Shift-Z" });
   const files = button("Files…", { id: "files" });
   const help = button("?", { "aria-label": "Keys and help" });
@@ -186,25 +182,7 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
   map.addEventListener("change", () => {
     store.map.value = map.value === "built" ? "built" : "pairs";
   });
-  const times = choice(
-    {
-      id: "times",
-      "aria-label": "Length of the residuals",
-      title: "Residuals as arrows (Shift-H)",
-    },
-    TIMES.map((value) => ({ value: String(value), label: `Residuals × ${value}` })),
-    (value) => (stage.times.value = Number(value)),
-  );
-  const loupe = choice(
-    { id: "loupe", "aria-label": "Loupe", title: "Loupe (L)" },
-    LOUPES,
-    (use) => {
-      stage.loupes.use.value = use;
-    },
-  );
-  const colours = new MapLayer(store, stage);
-  stage.left.host.append(colours.legend);
-  const settings = [map, colours.choice, times, loupe, settingsOf(stage)];
+  const settings = [map, settingsOf(stage)];
   bar.append(
     make("div", { class: "line" }, modes, marks, turn, outline, besideOf(store)),
     make("div", { class: "line" }, ...settings),
@@ -212,8 +190,6 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
   effect(() => {
     map.value = store.map.value;
     built.disabled = !store.frame.value?.built;
-    times.value = String(stage.times.value);
-    loupe.value = stage.loupes.use.value;
     marks.setAttribute("aria-pressed", String(stage.marks.value));
     outline.setAttribute("aria-pressed", String(stage.outline.open.value));
     outline.hidden = (store.frame.value?.beside.length ?? 0) > 0;
@@ -263,20 +239,6 @@ function settingsOf(stage: PairStage): HTMLElement {
     gain.element.hidden = stage.mode.value !== "difference";
   });
   return make("div", { class: "of-mode" }, rate.element, gain.element);
-}
-
-function choice<T extends string>(
-  facts: Record<string, string>,
-  options: readonly Option<T>[],
-  choose: (value: T) => void,
-): HTMLSelectElement {
-  const select = make(
-    "select",
-    facts,
-    ...options.map(({ value, label }) => make("option", { value }, label)),
-  );
-  select.addEventListener("change", () => choose(select.value as T));
-  return select;
 }
 
 void start();

@@ -1,37 +1,18 @@
 // Maps between the pictures, as the server sent them: polynomials target → reference, and back by Newton's steps.
 import type { Point } from "../shared/pane";
-import type { Numbers, Trace } from "./record";
+import type { Polynomial } from "./record";
 
 export type PlaneMap = (x: number, y: number) => Point;
 
-/** The map of a round: -1 is the start, under scale alone. */
-export function mapOf(trace: Trace, round: number): PlaneMap {
-  if (round < 0) return affine(trace.scale);
-  let at = 0;
-  while (at + 1 < trace.rounds.length && trace.rounds[at + 1]! <= round) at++;
-  const terms = (trace.order + 1) * (trace.order + 2);
-  return polynomial(
-    trace.order,
-    trace.centre,
-    trace.spread,
-    trace.models.subarray(at * terms, (at + 1) * terms),
-  );
-}
-
-function affine(m: Trace["scale"]): PlaneMap {
-  return (x, y) => [m[0][0] * x + m[0][1] * y + m[0][2], m[1][0] * x + m[1][1] * y + m[1][2]];
-}
-
-function polynomial(order: number, centre: Point, spread: number, terms: Numbers): PlaneMap {
+/** Target px → reference px. */
+export function mapOf({ order, centre, spread, terms }: Polynomial): PlaneMap {
   return (x, y) => {
     const u = (x - centre[0]) / spread;
     const v = (y - centre[1]) / spread;
     let [a, b, at] = [0, 0, 0];
     for (let degree = 0; degree <= order; degree++)
       for (let j = 0; j <= degree; j++, at += 2) {
-        let value = 1;
-        for (let k = j; k < degree; k++) value *= u;
-        for (let k = 0; k < j; k++) value *= v;
+        const value = u ** (degree - j) * v ** j;
         a += terms[at]! * value;
         b += terms[at + 1]! * value;
       }

@@ -2,12 +2,12 @@
 import type { Point } from "../shared/pane";
 import { ink } from "../shared/theme";
 import type { PlaneMap } from "./maps";
-import { errorColour, shareOf, type Half, type Partner, type SessionState } from "./record";
+import { errorColour, isMarked, shareOf } from "./record";
+import type { Filter, Half, Partner, SessionState } from "./record";
 
 const BINS = 16;
 const REMOVED = BINS;
 const LEAST_LINE = 1.5; // px of the screen
-const HEAD = 5; // of an arrow, px of the screen
 const EDGE = 9; // px round the canvas in which marks still show
 const LARGE = 3.6; // radius of a mark that stands out
 const GREY = "#9a9a9a";
@@ -35,15 +35,13 @@ export interface Scene {
   map: PlaneMap | null;
   /** Screen pixels a pixel of the reference: both pictures show the same place alike. */
   scale: number;
-  /** Which pairs are drawn, by row. */
-  shown: Uint8Array;
-  /** How many times as long as they are residuals are drawn. */
-  times: number;
+  /** Which pairs are drawn. */
+  filter: Filter;
 }
 
 /** Draw all pairs over a picture. */
 export function paintPairs(context: CanvasRenderingContext2D, scene: Scene): void {
-  const { session, selected, half, place, map, scale, shown, times } = scene;
+  const { session, selected, half, place, map, scale, filter } = scene;
   const light = ink("--error-light") || "45%";
   const colour = (share: number): string =>
     errorColour(share, 1).replace("var(--error-light)", light);
@@ -51,23 +49,17 @@ export function paintPairs(context: CanvasRenderingContext2D, scene: Scene): voi
   const radius = Math.min(LARGE, Math.max(1.7, 1 + (100 * scale) / 60));
   const lines = new Path2D();
   const join = (row: number, x: number, y: number): void => {
-    if (half !== 0 || !map || !(times * session.residual[row]! * scale > LEAST_LINE)) return;
+    if (half !== 0 || !map || !((session.residual[row] ?? 0) * scale > LEAST_LINE)) return;
     const [, , targetX, targetY] = session.pairs[row]!;
     const [endX, endY] = at(...map(targetX, targetY));
-    const [dx, dy] = [times * (endX - x), times * (endY - y)];
     lines.moveTo(x, y);
-    lines.lineTo(x + dx, y + dy);
-    if (times > 1) addHead(lines, [x + dx, y + dy], [dx, dy]);
+    lines.lineTo(endX, endY);
   };
-  const shows = (row: number): boolean => row !== selected && shown[row] === 1;
+  const shows = (row: number): boolean => row !== selected && isMarked(session, row, filter);
   const visible = findInView(context.canvas, session, half, at, shows, join);
   context.lineWidth = 0.4 + radius / 4;
-  if (times > 1) outline(context, lines, "#fff", 3, 1.2);
-  else {
-    context.strokeStyle = "#ddd";
-    context.stroke(lines);
-  }
-  context.lineWidth = 0.4 + radius / 4;
+  context.strokeStyle = "#ddd";
+  context.stroke(lines);
   paintOrdinary(context, visible, radius, colour);
   for (const row of [...visible.special, ...(selected in session.pairs ? [selected] : [])]) {
     const pair = session.pairs[row]!;
@@ -141,16 +133,6 @@ function findInView(
     visible.y[visible.count++] = y;
   }
   return visible;
-}
-
-/** The head of an arrow at `end` of a line along `by`. */
-function addHead(path: Path2D, [x, y]: Point, [dx, dy]: Point): void {
-  const length = Math.hypot(dx, dy);
-  if (length < HEAD) return;
-  const [u, v] = [(HEAD * dx) / length, (HEAD * dy) / length];
-  path.moveTo(x - u + v / 2, y - v - u / 2);
-  path.lineTo(x, y);
-  path.lineTo(x - u - v / 2, y - v + u / 2);
 }
 
 /** Circles with a rim, as paths of one shade each. */

@@ -47,7 +47,7 @@ export class PairCard {
       else if (measured) this.showMeasured(measured);
       else if (pair) this.showPair(pair);
       else {
-        const hint = store.session.value?.trace ? HINT : LOOSE_HINT;
+        const hint = store.session.value?.map ? HINT : LOOSE_HINT;
         this.show("No pair chosen", [make("p", { class: "soft" }, hint)], []);
       }
     });
@@ -113,7 +113,7 @@ export class PairCard {
     this.show(
       `Pair ${session.number[row]}`,
       [
-        Number.isFinite(session.residual[row])
+        Number.isFinite(session.residual[row] ?? NaN)
           ? make("p", {}, this.lengthOf(session.residual[row]), ` off; ${standing[state]}.`)
           : make("p", {}, `The error is unknown; ${standing[state]}.`),
         make(
@@ -141,7 +141,7 @@ export class PairCard {
 
   private showProposal(proposal: Proposal): void {
     const { pair, score, sure, placed } = proposal;
-    const sought = !this.store.session.value?.trace && !isFound(proposal);
+    const sought = !this.store.session.value?.map && !isFound(proposal);
     const found = sure
       ? `The partner was found by comparing the pictures, likeness ${percent(score)}.`
       : "The partner was not found. Click it in the other picture.";
@@ -177,7 +177,7 @@ export class PairCard {
     );
   }
 
-  private lengthOf(value: number | undefined): HTMLElement {
+  private lengthOf(value: number | null | undefined): HTMLElement {
     return make("strong", {}, length(value, this.store.frame.value?.px_per_mm ?? null));
   }
 

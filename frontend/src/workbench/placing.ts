@@ -1,18 +1,33 @@
 // What a click or a key in a picture does to pairs: choose one, begin one, place its other end, measure.
 import type { Point } from "../shared/pane";
+import type { Mode } from "../shared/stage";
+import type { Signal } from "@preact/signals-core";
 import { getJson } from "./api";
+import type { BandPicker } from "./bands";
 import { isFound } from "./pair";
 import type { MarkedPane } from "./pane";
-import type { Half, Pair, Partner } from "./record";
-import type { PairStage } from "./stage";
+import type { OutlineTool } from "./outline";
+import { isMarked, type Half, type Pair, type Partner } from "./record";
 import type { Store } from "./store";
 
 export const HIT_PX = 9; // of the screen
 
+/** What it knows of the stage. */
+interface Pictures {
+  readonly left: MarkedPane;
+  readonly right: MarkedPane;
+  readonly focused: MarkedPane;
+  readonly isLoose: boolean;
+  readonly bands: Record<"left" | "right", BandPicker>;
+  readonly outline: OutlineTool;
+  readonly marks: Signal<boolean>;
+  readonly mode: Signal<Mode>;
+}
+
 export class Placing {
   constructor(
     private readonly store: Store,
-    private readonly stage: PairStage,
+    private readonly stage: Pictures,
   ) {}
 
   /** Begin a pair in the middle of the picture with the focus, or put its other end there. */
@@ -57,11 +72,11 @@ export class Placing {
   /** The pair whose mark lies nearest within reach; -1 for none. */
   private rowAt(half: Half, [x, y]: Point, reach: number): number {
     if (!this.stage.marks.peek()) return -1;
-    const { shown } = this.stage.marked;
     let [best, at] = [reach, -1];
-    this.store.session.peek()!.pairs.forEach((pair, row) => {
+    const [session, filter] = [this.store.session.peek()!, this.store.filter.peek()];
+    session.pairs.forEach((pair, row) => {
       const apart = Math.hypot(pair[half] - x, pair[half + 1]! - y);
-      if (shown[row] && apart < best) [best, at] = [apart, row];
+      if (apart < best && isMarked(session, row, filter)) [best, at] = [apart, row];
     });
     return at;
   }

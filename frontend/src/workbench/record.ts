@@ -6,9 +6,6 @@ export type Pair = [x: number, y: number, targetX: number, targetY: number];
 /** Which half of a pair a picture shows: the index of its x. */
 export type Half = 0 | 2;
 
-/** A column as it came; NaN is what is not known. */
-export type Numbers = Float32Array | Float64Array | Int32Array | Uint8Array;
-
 export interface BandInfo {
   label: string;
   wavelength: number | null;
@@ -78,9 +75,6 @@ export interface FrameInfo {
   px_per_mm: number | null;
   built: boolean;
   builds: number;
-  maps: string[];
-  /** Whether the method removes wrong pairs by thresholds. */
-  removes: boolean;
   verdict: {
     decision: string;
     words: string;
@@ -105,18 +99,13 @@ export interface FrameInfo {
   outline: Point[];
 }
 
-export interface Trace {
-  largest: Numbers;
-  removed: Numbers;
-  cut: number;
-  scale: [[number, number, number], [number, number, number]];
+/** A map target → reference: a polynomial of centred and scaled px. */
+export interface Polynomial {
   order: number;
   centre: Point;
   spread: number;
-  rounds: number[];
-  /** Coefficients, two for each term, one polynomial after the other. */
-  models: Numbers;
-  size: Point;
+  /** Coefficients, two for each term. */
+  terms: number[];
 }
 
 /** What a person did to a pair; empty where nothing. */
@@ -125,19 +114,16 @@ export type Hand = "" | "added" | "pinned" | "restored" | "deleted" | "checks";
 /** The pairs of one camera under correction, and what the fit makes of them. */
 export interface SessionState {
   version: number;
-  /** The version by whose map pictures are brought over. */
-  drawn: number;
-  places: string;
   pairs: Pair[];
-  residual: Numbers;
-  leave_one_out: Numbers;
-  weight: Numbers;
+  /** Px of the reference; null where it is not known. */
+  residual: (number | null)[];
+  leave_one_out: (number | null)[];
+  weight: number[];
   state: ("kept" | "removed" | "check")[];
   hand: Hand[];
   reason: string[];
-  round: Numbers;
   /** By which a person knows each pair: it stays while others come and go. */
-  number: Numbers;
+  number: number[];
   summary: {
     pairs: number;
     kept: number;
@@ -150,10 +136,9 @@ export interface SessionState {
     check_max: number | null;
   };
   refusal: string;
-  trace: Trace | null;
-  reject: number;
+  /** By the pairs alone; null where there are too few. */
+  map: Polynomial | null;
   stop: number;
-  overridden: { reject: boolean; stop: boolean };
   corrections: string;
   /** Whether the layer is placed by the person's pairs alone: "by hand", or empty. */
   accept: "by hand" | "";
@@ -208,13 +193,13 @@ export function length(value: number | null | undefined, perMm: number | null): 
 
 /** An error as a share of what is tolerated, 0 to 1; 0 where it is not known. */
 export function shareOf({ residual, stop }: SessionState, row: number): number {
-  const value = residual[row]!;
+  const value = residual[row] ?? -1;
   return value >= 0 ? Math.min(1, value / Math.max(stop, 1e-9)) : 0;
 }
 
 /** Green to red for a share of what is tolerated; soft where the error is not known. */
-export function errorColour(error: number | undefined, tolerated: number): string {
-  if (error === undefined || Number.isNaN(error)) return "var(--soft)";
+export function errorColour(error: number | null | undefined, tolerated: number): string {
+  if (error === undefined || error === null) return "var(--soft)";
   const share = Math.min(1, Math.max(0, error / Math.max(tolerated, 1e-9)));
   return `hsl(${Math.round(130 * (1 - share))} 62% var(--error-light))`;
 }

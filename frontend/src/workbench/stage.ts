@@ -8,7 +8,6 @@ import { effect, signal } from "@preact/signals-core";
 import { layerOf } from "./api";
 import { BandPicker } from "./bands";
 import { LoupePair, type LoupeScene } from "./loupe";
-import { paintMap, type MapImage } from "./maplayer";
 import { invert, mapOf, turnAndScale, type PlaneMap } from "./maps";
 import { paintHandle, paintOutline, paintPairs, paintProposal } from "./marks";
 import { OutlineTool } from "./outline";
@@ -16,8 +15,6 @@ import { MarkedPane } from "./pane";
 import type { Half, Pair } from "./record";
 import type { Store } from "./store";
 import { HIT_PX, Placing } from "./placing";
-import { Thinning, type Thinned } from "./thinning";
-import { Trial } from "./trial";
 
 export const MODES: Option<Mode>[] = [
   { value: "side", label: "Side by side" },
@@ -25,9 +22,7 @@ export const MODES: Option<Mode>[] = [
   { value: "flicker", label: "Flicker" },
   { value: "difference", label: "Difference" },
   { value: "checker", label: "Checker" },
-  { value: "redcyan", label: "Red / cyan" },
 ];
-export const TIMES = [1, 5, 20, 100];
 const MOVED_PX = 0.05; // a shorter drag is none
 const CLOSE = 3; // screen pixels a pixel at which a pair is looked at
 const TURNED_LEAST = 1; // degrees that a new map turns the other picture before that is shown
@@ -43,19 +38,13 @@ export class PairStage extends Stage<MarkedPane> {
     left: new BandPicker("reference picture"),
     right: new BandPicker("picture to register"),
   };
-  /** A map in colours over the reference. */
-  private mapImage: MapImage | null = null;
-  private readonly trial: Trial;
   readonly outline: OutlineTool;
   readonly placing: Placing;
   private drag: Drag | null = null;
   /** By how many degrees the picture to register is turned by itself, of each that has no map yet. */
   private readonly alone = new Map<string, number>();
-  private readonly thinning = new Thinning();
   /** Whether pairs are drawn over the pictures. */
   readonly marks = signal(true);
-  /** How many times as long as they are residuals are drawn. */
-  readonly times = signal(1);
   readonly loupes = new LoupePair(() => this.enlarged());
 
   constructor(
@@ -68,10 +57,9 @@ export class PairStage extends Stage<MarkedPane> {
       new MarkedPane(host, "Reference picture", size),
       new MarkedPane(host, "Picture to register", target_size),
     );
-    this.trial = new Trial(store, () => this.load());
     this.outline = new OutlineTool(store);
     this.placing = new Placing(store, this);
-    this.left.foot.append(this.bands.left.root, this.thinning.label);
+    this.left.foot.append(this.bands.left.root);
     this.right.foot.append(this.bands.right.root, this.turnButton());
     this.left.host.append(this.loupes.left.root);
     this.right.host.append(this.loupes.right.root);
@@ -99,22 +87,16 @@ export class PairStage extends Stage<MarkedPane> {
       this.left.host.classList.toggle("drawing", open.value);
       if (corners.length + chosen.value > -2) this.left.redraw();
     });
-    watch([this.marks, this.times, this.loupes.use, store.filter], () => {
+    watch([this.marks, this.loupes.use, store.filter], () => {
       this.left.redraw();
       this.right.redraw();
       this.loupes.redraw();
     });
   }
 
-  /** Which pairs are marked at this scale. */
-  get marked(): Thinned {
-    const { session, filter } = this.store;
-    return this.thinning.of(session.peek()!, filter.peek(), this.left.scale);
-  }
-
   private get map(): PlaneMap | null {
-    const trace = this.store.session.peek()?.trace;
-    return trace ? mapOf(trace, trace.largest.length) : null;
+    const map = this.store.session.peek()?.map;
+    return map ? mapOf(map) : null;
   }
 
   override setMode(mode: Mode): void {
@@ -195,12 +177,6 @@ export class PairStage extends Stage<MarkedPane> {
     return button;
   }
 
-  /** Lay a map in colours over the reference, or take it away. */
-  lay(map: MapImage | null): void {
-    this.mapImage = map;
-    this.left.redraw();
-  }
-
   /** Whether the reference's place of a pair is in view, not only just. */
   sees([x, y]: Pair): boolean {
     const [left, top] = this.left.placeOf(x, y);
@@ -233,9 +209,6 @@ export class PairStage extends Stage<MarkedPane> {
   }
 
   private update(): void {
-    const proposed = this.store.proposal.peek()?.pair;
-    if (!proposed && !this.drag) this.trial.end();
-    else if (proposed && this.mode.peek() !== "side") void this.trial.request(proposed, null);
     void this.load();
     this.left.redraw();
     this.right.redraw();
@@ -257,10 +230,7 @@ export class PairStage extends Stage<MarkedPane> {
     const [frame, session] = [this.store.frame.peek(), this.store.session.peek()];
     if (!frame || !session) return null;
     const map = this.store.map.peek();
-    const version = map === "built" ? `built${frame.builds}` : session.drawn;
-    const warped = this.trial.number ? `trial&v=${this.trial.number}` : `${map}&v=${version}`;
-    const tint = (colour: string): string =>
-      this.mode.peek() === "redcyan" ? `&tint=${colour}` : "";
+    const version = map === "built" ? `built${frame.builds}` : session.version;
     // What a browser kept of another day's server, at the same port, is not requested again.
     const page = Math.round(performance.timeOrigin);
     const [ours, theirs] = [this.bands.left, this.bands.right].map(
@@ -268,10 +238,10 @@ export class PairStage extends Stage<MarkedPane> {
     );
     const tiles = `${this.store.path}/tiles`;
     // A reference of tiles is another picture once they are placed anew.
-    const reference = `${tiles}/reference?${ours}&build=${frame.builds}${tint("red")}`;
+    const reference = `${tiles}/reference?${ours}&build=${frame.builds}`;
     const left = [layerOf(reference, frame.size)];
     if (this.isOverlay)
-      left.push(layerOf(`${tiles}/warped?map=${warped}&${theirs}${tint("cyan")}`, frame.size));
+      left.push(layerOf(`${tiles}/warped?map=${map}&v=${version}&${theirs}`, frame.size));
     const right = [layerOf(`${tiles}/target?${theirs}`, frame.target_size)];
     return { subject: frame.id, left, right };
   }
@@ -343,13 +313,11 @@ export class PairStage extends Stage<MarkedPane> {
     else if (this.map) [to[2], to[3]] = invert(this.map, [x, y], [from[2], from[3]]);
     if (done) {
       this.drag = null;
-      this.trial.end();
       const far = to.some((value, i) => Math.abs(value - from[i]!) > MOVED_PX);
       if (far) void this.store.edit({ operation: "move", pair: from, to }, to);
       else this.update();
       return;
     }
-    if (this.isOverlay) void this.trial.request(from, to);
     this.drag = { from, to };
     this.left.redraw();
     this.right.redraw();
@@ -359,16 +327,13 @@ export class PairStage extends Stage<MarkedPane> {
   private paint(context: CanvasRenderingContext2D, pane: MarkedPane, half: Half): void {
     const { frame, session, selected, proposal, measured } = this.store;
     if (!session.peek() || !frame.peek()) return;
-    if (half === 0 && this.mapImage) paintMap(context, pane, this.mapImage, frame.peek()!.size);
     const place: PlaneMap = (x, y) => pane.placeOf(x, y);
     const { corners, open, draft, chosen } = this.outline;
     const handles = open.peek() && { closed: !draft.peek(), chosen: chosen.peek() };
     if (half === 0 && (this.marks.peek() || handles))
       paintOutline(context, corners, place, handles || null);
     const draws = this.marks.peek() && !(handles && half === 0); // else only what is being placed
-    const many = draws && (!this.isOverlay || this.mapImage) && this.marked;
-    if (half === 0) this.thinning.label.hidden = !many || many.count === many.all;
-    if (many)
+    if (draws && !this.isOverlay)
       paintPairs(context, {
         session: session.peek()!,
         selected: selected.peek(),
@@ -376,8 +341,7 @@ export class PairStage extends Stage<MarkedPane> {
         place,
         map: this.map,
         scale: this.left.scale,
-        shown: many.shown,
-        times: this.times.peek(),
+        filter: this.store.filter.peek(),
       });
     else if (draws) {
       const pair = this.drag?.to ?? this.store.selectedPair();

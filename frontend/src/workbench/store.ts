@@ -1,7 +1,6 @@
 // What the page knows. Whatever shows a part of it is an effect of that part.
 import { batch, computed, signal } from "@preact/signals-core";
-import { getBytes, getJson, messageOf, Refusal } from "./api";
-import { readSession } from "./columns";
+import { getJson, messageOf, Refusal } from "./api";
 import type { Point } from "../shared/pane";
 import type { CameraRow, Filter, FrameInfo, Pair, Partner, Proposal, SessionState } from "./record";
 
@@ -54,7 +53,7 @@ export class Store {
   async open(id: string): Promise<void> {
     const path = `/api/cameras/${id}`;
     const frame = await getJson<FrameInfo>(path);
-    const session = readSession(await getBytes(`${path}/pairs`), []);
+    const session = await getJson<SessionState>(`${path}/pairs`);
     batch(() => {
       this.choose({});
       this.frame.value = frame;
@@ -71,18 +70,15 @@ export class Store {
 
   /** Change something; answers come in the order of the requests. */
   edit(change: Record<string, unknown>, keep?: Pair): Promise<void> {
-    return this.take(async (pairs) => {
-      const known = this.session.peek()?.places ?? "";
-      return readSession(await getBytes(`${this.path}/edit`, { ...change, known }), pairs);
-    }, keep);
+    return this.take(() => getJson<SessionState>(`${this.path}/edit`, change), keep);
   }
 
   /** Queue a request that answers with a session; the pair `keep` is the selected one afterwards. */
-  take(request: (pairs: Pair[]) => Promise<SessionState>, keep?: Pair): Promise<void> {
+  take(request: () => Promise<SessionState>, keep?: Pair): Promise<void> {
     const before = keep ?? this.selectedPair();
     const run = this.queue.then(async () => {
       try {
-        const session = await request(this.session.peek()?.pairs ?? []);
+        const session = await request();
         batch(() => {
           this.session.value = session;
           this.refused.value = "";
@@ -93,7 +89,7 @@ export class Store {
         this.refuse(error);
         // Another workbench or an editor was first: what is there now is shown.
         if (error instanceof Refusal && error.status === 409)
-          this.session.value = readSession(await getBytes(`${this.path}/pairs`), []);
+          this.session.value = await getJson<SessionState>(`${this.path}/pairs`);
       }
     });
     this.queue = run;

@@ -80,7 +80,7 @@ export class PairTable {
     const session = this.store.session.peek();
     let [best, most] = [-1, -Infinity];
     session?.state.forEach((state, row) => {
-      const error = session.residual[row]!;
+      const error = session.residual[row] ?? -1;
       if (state === "kept" && error > most) [best, most] = [row, error];
     });
     return best;

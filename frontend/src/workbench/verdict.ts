@@ -195,7 +195,6 @@ function describe(
     reasons.length > 0 && make("ul", {}, ...reasons.map((reason) => make("li", {}, reason))),
     // With corrections made since, that step may be done.
     next_step !== "" && !stale && make("p", {}, make("strong", {}, "Next: "), next_step),
-    ...describeModels(frame),
     corrections !== "" &&
       make(
         "p",
@@ -243,30 +242,4 @@ function countPlaces(found: number, own: number): string {
   const set = `${own} ${own === 1 ? "pair is" : "pairs are"} set by hand`;
   if (!found) return `${set}.`;
   return `${found} places were matched in both pictures${own ? `, ${set}` : ""}.`;
-}
-
-function describeModels({ scores, chosen }: FrameInfo): HTMLElement[] {
-  const tried = Object.entries(scores[0] ?? {}).filter(([, error]) => Number.isFinite(error));
-  if (!tried.length) return [];
-  const rows = tried.map(([name, error]) => {
-    const taken = name === chosen[0];
-    return make(
-      "tr",
-      { class: taken && "taken" },
-      make("th", { scope: "row" }, name),
-      make("td", {}, error.toFixed(3)),
-      make("td", {}, taken && "taken"),
-    );
-  });
-  const about =
-    "Held-out error, px. A model with more parameters is used only where it lowers this error.";
-  return [
-    make(
-      "details",
-      { id: "models" },
-      make("summary", { id: "models-head" }, "Models that were tried"),
-      make("p", { class: "soft" }, about),
-      make("table", {}, ...rows),
-    ),
-  ];
 }

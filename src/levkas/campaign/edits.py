@@ -25,8 +25,8 @@ from levkas.core.problems import Problem, Refused
 if TYPE_CHECKING:
     from levkas.campaign.schema.tables import ConfirmKeys
 
-FILE_NAME, HISTORY_NAME = "edits.toml", ".edits.history.json"
-"""Beside campaign.toml: the corrections, and by which steps the workbench came to them."""
+FILE_NAME = "edits.toml"
+"""Beside campaign.toml: the corrections."""
 EXPLAINED = "docs/reference/edits.md explains every key; the workbench writes the file for you."
 AGAIN = "Check its present state, then make the change again."
 BY_HAND = "by hand"
@@ -323,8 +323,7 @@ def sweep_corrections(folder: Path) -> None:
 
     lock = lock_of(folder / FILE_NAME)
     with contextlib.suppress(Refused, OSError):
-        for name in (FILE_NAME, HISTORY_NAME):
-            sweep_beside(folder / name)
+        sweep_beside(folder / FILE_NAME)
         if lock.is_file():
             with locked(lock, patience_s=0):  # which removes it
                 pass

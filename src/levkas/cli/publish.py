@@ -40,7 +40,7 @@ def publish(
         list[str] | None,
         typer.Option(
             "--analyse",
-            help="Also compute pictures from the layers: all, or infrared-visible, "
+            help="Also compute pictures from the layers: infrared-visible, "
             "ratio:700/1000, … separated by commas.",
         ),
     ] = None,

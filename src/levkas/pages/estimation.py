@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from levkas.core.text import counted
 from levkas.estimation.report import title_of
@@ -17,23 +14,13 @@ from levkas.pages.plots import Line, plot
 
 if TYPE_CHECKING:
     from levkas.estimation.report import EstimationReport, SourceReport
-    from levkas.estimation.scores import MethodScore, PixelErrors
+    from levkas.estimation.scores import MethodScore
 
 INKS = (
     *("#c62828", "#3b6fd4", "#3a9a4b", "#c77f1a", "#7a4fbf", "#2b8c8c"),
     *("#a0527a", "#6f7d2c", "#8a5a3c", "#5b6b8c", "#777777"),
 )
 DIGITS = {"rmse": 4, "delta_e_d65": 2}
-
-
-@dataclass(frozen=True)
-class NumberTable:
-    """A table of a section: the first column is of words."""
-
-    title: str
-    caption: str
-    heads: Sequence[str]
-    rows: Sequence[Sequence[str]]
 
 
 def write_page(report: EstimationReport, folder: Path, *, overwrite: bool = False) -> list[Path]:
@@ -68,7 +55,6 @@ def render_estimation(report: EstimationReport) -> str:
         "title": f"Spectra of {report.target}, estimated",
         "subtitle": f"{report.database}: each painting is estimated from the others",
         "short": [_in_short(source, report.target) for source in report.sources],
-        "problems": [],
         "sources": [_section(source, report) for source in report.sources],
     }
     return render_page("estimation.html", page=page)
@@ -94,12 +80,12 @@ def _section(source: SourceReport, report: EstimationReport) -> dict[str, Any]:
         "title": f"From {source.name}",
         "anchor": "from-" + "".join(c if c.isalnum() else "-" for c in source.name),
         "facts": _facts(source),
-        "warning": "",
         "heads": ["RMSE, all", *(METRICS[key] for key in metrics)],
         "rows": _rows(source, metrics, inks),
         "problems": [str(problem) for problem in source.problems],
         "figures": _figures(source, report, inks),
-        "tables": [_by_painting(source)],
+        "paintings": source.ranked[0].objects,
+        "by_painting": _by_painting(source),
     }
 
 
@@ -152,52 +138,17 @@ def _figures(source: SourceReport, report: EstimationReport, inks: dict[str, str
             plot(bands, x="wavelength, nm", y="RMSE", from_zero=True, legend=False),
             "Error of every band over paint; colours are those of the methods in the table.",
         ),
-        _spectra(source, waves),
     ]
 
 
-def _spectra(source: SourceReport, waves: Sequence[float]) -> Figure:
-    """Measured and estimated spectra of pixels of median and of large error, by the best method."""
-    best = source.ranked[0]
-    lines = []
-    for words, percentile, colour in (("median", 50, "tgt"), ("95th percentile", 95, "ref")):
-        error, pixel = _pixel_at(best, percentile)
-        measured = error.measured[pixel]
-        lines += [
-            Line(f"{words}, measured", waves, measured, colour),
-            Line(
-                f"{words}, estimated", waves, measured + error.residuals[pixel], colour, dashed=True
-            ),
-        ]
-    svg = plot(lines, x="wavelength, nm", y="reflectance", from_zero=True)
-    text = f"A pixel of median error and one at the 95th percentile, {title_of(best.method)}."
-    return Figure(svg, text)
-
-
-def _pixel_at(score: MethodScore, percentile: float) -> tuple[PixelErrors, int]:
-    """Return where the pixel of paint is whose RMSE is nearest to a percentile."""
-    wanted = float(np.percentile(score.values("rmse"), percentile))
-    found = []
-    for error in score.errors:
-        off = np.abs(error.metrics["rmse"] - wanted)
-        pixel = int(off.argmin())
-        found.append((float(off[pixel]), error, pixel))
-    _, error, pixel = min(found, key=lambda one: one[0])
-    return error, pixel
-
-
-def _by_painting(source: SourceReport) -> NumberTable:
+def _by_painting(source: SourceReport) -> list[list[str]]:
+    """Return the mean RMSE of every method for every painting, a row a method."""
     names = source.ranked[0].objects
     rows = []
     for score in source.ranked:
         means = [score.summary(name=name).get("rmse", {}).get("mean") for name in names]
         rows.append([title_of(score.method), *map(_cell, means)])
-    return NumberTable(
-        "Painting by painting",
-        "Mean RMSE over the pixels of paint of each painting while it was held out.",
-        ["method", *names],
-        rows,
-    )
+    return rows
 
 
 def _cell(value: float | None) -> str:

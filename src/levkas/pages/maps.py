@@ -27,31 +27,23 @@ if TYPE_CHECKING:
 SCALE = ((20, 17, 15), (60, 32, 64), (122, 46, 76), (181, 83, 51), (217, 154, 60), (250, 236, 190))
 """Colours of a scalar map from least to most; lightness rises evenly."""
 
-
 UNKNOWN = (70, 72, 76)
-
 
 OUTLINE = (64, 200, 235)
 """Of the object, over its picture: cyan is rare in paintings."""
 
-
 OUTSIDE = 110
 """Brightness of a picture outside the outline, 0 to 255: dark enough to be visible at the size of a stamp."""
 
-
 CLEAR = (24, 22, 19)
 
-
 PERCENTILES = (1.0, 99.0)
-
 
 BLOCK_BYTES = 64_000_000
 """Read at once: so many rows of all bands, and at least one."""
 
-
 MOST_SHOWN = 24
 """Bands over which sigma is averaged for a picture: it is smooth in wavelength, and to read all takes seconds."""
-
 
 MOST_PLACES = 2_000_000
 """Where a predicted error is computed; between them it is repeated."""

@@ -307,11 +307,7 @@ def light_map(
         x = (np.arange(columns) + 0.5) * width / columns
         y = (np.arange(rows) + 0.5) * height / rows
         lines = axes.contour(x, y, levels, contours, colors="#1d1b16", linewidths=0.9)
-        for (left, top), level in place_labels(lines.get_paths(), list(lines.levels), size):
-            axes.text(
-                left, top, f"{100 * level:g} %", fontsize=9, color="#1d1b16", ha="center", va="center",
-                bbox={"facecolor": "#fffbe8", "alpha": 0.8, "linewidth": 0, "pad": 1.5},
-            )  # fmt: skip
+        axes.clabel(lines, fmt=lambda level: f"{100 * level:g} %", fontsize=9)
     axes.axhline(height / 2, color="#c62828", linewidth=1, linestyle="--")
     axes.axvline(width / 2, color="#c62828", linewidth=1, linestyle="--")
     left, top, across, down = rectangle
@@ -319,38 +315,6 @@ def light_map(
         Rectangle((left, top), across, down, fill=False, edgecolor="#1f9d4c", linewidth=2.5)
     )
     return to_svg(figure, "light on the white")
-
-
-def place_labels(
-    paths: Sequence[Any], levels: Sequence[float], size: Sequence[int]
-) -> list[tuple[np.ndarray, float]]:
-    """Return a place for each contour's label: away from the edges and from the labels before; none without room.
-
-    Parameters
-    ----------
-    paths : sequence of matplotlib.path.Path
-        A contour each.
-    levels : sequence of float
-    size : (width, height), in the units of the paths
-    """
-    placed: list[tuple[np.ndarray, float]] = []
-    whole = np.array(size, float)
-    for path, level in zip(paths, levels, strict=True):
-        shares = path.vertices / whole
-        inside = ((shares > LABEL_MARGIN) & (shares < 1 - LABEL_MARGIN)).all(1)
-        free = path.vertices[inside]
-        if not len(free):
-            continue
-        apart = [np.linalg.norm((free - at) / whole, axis=1) for at, _ in placed]
-        room = np.min(apart, axis=0) if apart else np.ones(len(free))
-        best = int(room.argmax())
-        if room[best] >= LABEL_ROOM:
-            placed.append((free[best], float(level)))
-    return placed
-
-
-LABEL_MARGIN, LABEL_ROOM = 0.08, 0.14
-"""Of labels of contours, from the edge and from one another, as shares of the sides."""
 
 
 @in_style

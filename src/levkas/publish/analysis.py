@@ -24,7 +24,7 @@ from levkas.database.described import open_tiff
 from levkas.database.regions import TRUSTED
 from levkas.database.spectral_tiff import TiffHeader, write_pages
 from levkas.database.tiff_pages import open_pages
-from levkas.publish.analysis_names import INFRARED, Analysis, find_band, near_bands
+from levkas.publish.analysis_names import INFRARED, Analysis, find_band
 from levkas.publish.publication import PublishRefused
 from levkas.publish.viewer.pictures import ANALYSES
 
@@ -99,30 +99,22 @@ class LayerAnalysis:
 
 def check_analyses(database: Path, analyses: Iterable[Analysis]) -> None:
     """Refuse an analysis that no layer of a database has the bands for; raises PublishRefused."""
-    wanted = [analysis for analysis in analyses if analysis.required]
-    if not wanted:
+    wanted = [*analyses]
+    made = {work.analysis for work in find_work(database, wanted)} if wanted else set()
+    impossible = [analysis for analysis in wanted if analysis not in made]
+    if not impossible:
         return
-    made = {work.analysis for work in find_work(database, wanted)}
-    bands = [
-        (band, entry.camera)
-        for entry in read_catalogue(database)
-        for band in open_tiff(database / f"{entry.layer.path}.tif").bands
-    ]
+    tiffs = [database / f"{entry.layer.path}.tif" for entry in read_catalogue(database)]
+    labels = dict.fromkeys(band.label for tiff in tiffs for band in open_tiff(tiff).bands)
     problems = [
         Problem(
-            "E_VALUE",
-            f"no layer has the bands for the analysis {analysis.text!r}",
-            str(database),
-            "--analyse",
-            near_bands(analysis, bands),
-            analysis.needs,
+            *("E_VALUE", f"no layer has the bands for the analysis {analysis.text!r}"),
+            *(str(database), "--analyse", ", ".join(labels)[:400], analysis.needs),
             "Remove it, or give bands of a layer: `ratio:700/1000`, `ratio:R/IR`.",
         )
-        for analysis in wanted
-        if analysis not in made
+        for analysis in impossible
     ]
-    if problems:
-        raise PublishRefused(*problems)
+    raise PublishRefused(*problems)
 
 
 def write_analyses(publication: Publication) -> Iterator[str]:

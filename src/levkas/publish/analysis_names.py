@@ -1,4 +1,4 @@
-"""Names of analyses as a person writes them: ``infrared-visible``, ``ratio:700/1000``, ``all``."""
+"""Names of analyses as a person writes them: ``infrared-visible``, ``ratio:700/1000``."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.core.cube import Band
-from levkas.core.problems import Problem, Refused, closest_match
+from levkas.core.problems import Problem, Refused
 
 INFRARED = "infrared-visible"
 RATIO = "ratio"
-ALL = "all"
 WAVELENGTH_NM = 5.0
 """A band is that of a wavelength where its centre is no further away, or half its width."""
 MOST = 24
@@ -34,13 +33,10 @@ class Analysis:
     kind : "infrared-visible" or "ratio"
     bands : tuple of str
         Of a ratio, as they were written.
-    required : bool
-        Whether it was named; members of ``all`` may be impossible.
     """
 
     kind: str
     bands: tuple[str, ...] = ()
-    required: bool = True
 
     @property
     def text(self) -> str:
@@ -77,11 +73,11 @@ def parse_analyses(texts: Iterable[str]) -> tuple[Analysis, ...]:
     Raises
     ------
     AnalysisUnknown
-        ``E_VALUE`` with every name that is none, and the one that may be meant.
+        ``E_VALUE`` with every name that is none.
 
     Examples
     --------
-    >>> [analysis.text for analysis in parse_analyses(["all,ratio:700/1000", "ALL"])]
+    >>> [analysis.text for analysis in parse_analyses(["infrared-visible,ratio:700/1000"])]
     ['infrared-visible', 'ratio:700/1000']
     """
     found: dict[str, Analysis] = {}
@@ -90,37 +86,23 @@ def parse_analyses(texts: Iterable[str]) -> tuple[Analysis, ...]:
         kind, colon, rest = text.partition(":")
         kind = kind.strip().lower()
         bands = tuple(part.strip() for part in rest.split("/"))
-        if kind == ALL and not colon:
-            found.setdefault(INFRARED, Analysis(INFRARED, required=False))
-        elif kind == INFRARED and not colon:
+        if kind == INFRARED and not colon:
             found[kind] = Analysis(kind)
         elif kind == RATIO and len(bands) == 2 and all(0 < len(b) <= LONGEST_LABEL for b in bands):
             ratio = Analysis(kind, bands)
             found.setdefault(ratio.name, ratio)
         else:
-            problems.append(_unknown(text, kind))
-    if len(found) > MOST:
-        problems.append(
-            Problem(
-                "E_VALUE", "too many analyses", None, "--analyse", len(found), f"at most {MOST}"
+            names = f"{INFRARED}, {RATIO}:700/1000 or {RATIO}:R/IR"
+            what = "there is no such analysis"
+            problems.append(
+                Problem("E_VALUE", what, None, "--analyse", text, names, f"Write {names}.")
             )
-        )
+    if len(found) > MOST:
+        what = "too many analyses"
+        problems.append(Problem("E_VALUE", what, None, "--analyse", len(found), f"at most {MOST}"))
     if problems:
         raise AnalysisUnknown(*problems)
     return tuple(found.values())
-
-
-def _unknown(text: str, kind: str) -> Problem:
-    names = [ALL, INFRARED, f"{RATIO}:A/B"]
-    if kind == RATIO:
-        fix = "Write two bands with a slash between them: ratio:700/1000."
-    else:
-        fix = (
-            closest_match(kind, [*names[:-1], RATIO])
-            or "Write --analyse all for those that need no bands."
-        )
-    what = f"there is no analysis {text!r}" if text else "a name of an analysis is empty"
-    return Problem("E_VALUE", what, None, "--analyse", text or None, ", ".join(names), fix)
 
 
 def find_band(bands: Sequence[Band], text: str) -> int | None:
@@ -144,24 +126,6 @@ def find_band(bands: Sequence[Band], text: str) -> int | None:
     width = bands[best].fwhm
     reach = max(WAVELENGTH_NM, 0.0 if np.isnan(width) else width / 2)
     return best if apart[best] <= reach else None
-
-
-def near_bands(analysis: Analysis, bands: Sequence[tuple[Band, str]]) -> str:
-    """Report which bands a database has that are nearest to those of a ratio; `bands` are with their cameras."""
-    reasons = []
-    for text in analysis.bands:
-        if find_band([band for band, _ in bands], text) is not None:
-            continue
-        centre = _wavelength(text)
-        known = [one for one in bands if not np.isnan(one[0].wavelength)]
-        near = min(known, key=lambda one: abs(one[0].wavelength - centre), default=None)
-        if near and not np.isnan(centre):
-            reasons.append(f"no band at {text}, the nearest is {near[0].label} of {near[1]}")
-        else:
-            labels = list(dict.fromkeys(band.label for band, _ in bands))
-            hint = closest_match(text, labels) or f"there are {', '.join(labels[:8])}"
-            reasons.append(f"no band {text!r}: {hint}")
-    return "; ".join(reasons) or "no such layer"
 
 
 def _plain(text: str) -> str:

@@ -59,7 +59,7 @@ def cite(facts: PublicationFacts) -> str:
 
     Examples
     --------
-    >>> cite(PublicationFacts("", "Icons", (Person("Ada Painter"),), published="2019-08", publisher="Zenodo"))
+    >>> cite(PublicationFacts("", "Icons", (Person("Painter, Ada"),), published="2019-08", publisher="Zenodo"))
     'Painter, Ada (2019). Icons. Zenodo. [Data set]'
     """
     people = "; ".join(person.inverted for person in facts.creators)
@@ -196,13 +196,12 @@ def _missing(facts: PublicationFacts, wanted: dict[str, tuple[Any, str, str]]) -
 
 
 def _creator(person: Person) -> dict[str, Any]:
-    record: dict[str, Any] = {
-        "name": person.inverted,
-        "nameType": "Organizational" if person.organisation else "Personal",
-    }
+    record: dict[str, Any] = {"name": person.inverted}
     given, family = person.parts
-    if not person.organisation and given:
-        record |= {"givenName": given, "familyName": family}
+    if person.organisation:
+        record["nameType"] = "Organizational"
+    elif given:
+        record |= {"nameType": "Personal", "givenName": given, "familyName": family}
     if person.orcid:
         identifier = {
             "nameIdentifier": ORCID + person.orcid,

@@ -6,8 +6,6 @@ the publication, never the clock's.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,14 +26,17 @@ if TYPE_CHECKING:
 
 
 NAME = "ro-crate-metadata.json"
-PREVIEW = "ro-crate-preview.html"
 PROFILE = "https://w3id.org/ro/crate/1.3"
 PROCESS = "https://w3id.org/ro/wfrun/process/0.5"
 """Profile of crates that record what was run, on what, by which version (Leo et al. 2024, 10.1371/journal.pone.0309210)."""
 TERMS = {"sha256": "https://w3id.org/ro/terms/workflow-run#sha256"}
 """Words that RO-Crate has not, and where they are explained."""
-WHOLE = ("zarr", "iiif", "viewer")
-"""Folders of many small files, described as one thing each."""
+WHOLE = {
+    "zarr": "the layers of an object as Zarr v3",
+    "iiif": "manifests and tiles for viewers of the IIIF Presentation and Image API 3",
+    "viewer": "pictures and spectra that the pages show",
+}
+"""Folders of many small files, and what each is as a whole."""
 FORMATS = {
     ".tif": "image/tiff",
     ".png": "image/png",
@@ -84,25 +85,8 @@ WITHIN = {
     FOLDER: "table that the campaign names",
 }
 """What any other file of a folder is."""
-FOLDERS = {
-    "objects": "layers, flags, uncertainty and records of every object",
-    "cameras": "what is known of every camera",
-    "setups": "what is known of every lighting",
-    "charts": "colour charts, calibrated on native pixels",
-    "zarr": "the layers of every object as Zarr v3",
-    "registration": "how each camera was registered",
-    "native": "calibrated, not resampled: a file a sensor",
-    "analysis": "pictures computed from the layers",
-    "colour": "which colours occur",
-    "declarations": "what the campaign declares: to build the database again",
-    "iiif": "manifests and tiles for viewers of the IIIF Presentation and Image API 3",
-    "viewer": "pictures and spectra that the pages show",
-}
-"""What a folder is by its name; of another one, what it is in."""
 LEVKAS = "https://doi.org/10.3390/computation7030047"
 """Where Levkas is described: the paper whose system it implements, until it has an address of its own."""
-PACKAGES = "pkg:pypi/"
-"""Scheme of package URLs (purl)."""
 
 Entity = dict[str, Any]
 
@@ -144,16 +128,8 @@ def _describe_root(publication: Publication, entities: dict[str, Entity]) -> Ent
     """Fill `entities` by their ids, and return the properties of the root."""
     facts = publication.facts
     files = _describe_files(publication, entities)
-    entities[PREVIEW] = {
-        "@id": PREVIEW,
-        "@type": "CreativeWork",
-        "name": "This record as a page",
-        "encodingFormat": "text/html",
-        "about": {"@id": "./"},
-    }
-    _nest(entities, files)
     actions = describe_steps(publication, entities)
-    describe_tools(entities)
+    _program(entities, __version__)
     people = [_person(entities, person, i) for i, person in enumerate(facts.creators)]
     root: Entity = {
         "name": facts.title,
@@ -161,7 +137,7 @@ def _describe_root(publication: Publication, entities: dict[str, Entity]) -> Ent
         "datePublished": facts.published,
         "license": _licence(entities, facts),
         "author": people,
-        "hasPart": [{"@id": i} for i in sorted(entities) if _is_top(i, entities)],
+        "hasPart": [{"@id": identifier} for identifier in sorted(files)],
         "mentions": actions,
     }
     if facts.publisher:
@@ -208,10 +184,8 @@ def _describe_files(publication: Publication, entities: dict[str, Entity]) -> li
         if whole is None:
             entity = _file(publication, root, name)
         else:
-            entity = {"@id": f"{quote(whole)}/", "@type": "Dataset", "name": _name_of_whole(whole)}
-            entity["description"] = _describe_folder(whole)
-            if whole.split("/")[-1].endswith(".zarr"):
-                entity["encodingFormat"] = "application/vnd+zarr"
+            entity = {"@id": f"{quote(whole)}/", "@type": "Dataset", "name": whole}
+            entity["description"] = WHOLE[whole.partition("/")[0]]
         if entity["@id"] not in entities:
             entities[entity["@id"]] = entity
             found.append(entity["@id"])
@@ -224,20 +198,6 @@ def _whole_of(name: str) -> str | None:
     if len(parts) > 1 and parts[0] in WHOLE:
         return "/".join(parts[: 2 if parts[0] == "zarr" else 1])
     return None
-
-
-def _name_of_whole(folder: str) -> str:
-    last = folder.split("/")[-1]
-    names = {
-        "iiif": "IIIF manifests and tiles",
-        "viewer": "Viewer: open index.html in a browser",
-    }
-    return names.get(last, f"{last.removesuffix('.zarr')}: all layers as Zarr v3")
-
-
-def _describe_folder(folder: str) -> str:
-    name, outer = Path(folder).name, Path(folder).parent.name
-    return FOLDERS.get(name) or f"{name.removesuffix('.zarr')}: {FOLDERS.get(outer, 'files')}"
 
 
 def _file(publication: Publication, root: Path, name: str) -> Entity:
@@ -256,32 +216,6 @@ def _file(publication: Publication, root: Path, name: str) -> Entity:
     if name in publication.hashes:
         entity["sha256"] = publication.hashes[name]
     return entity
-
-
-def _nest(entities: dict[str, Entity], files: list[str]) -> None:
-    """Put files into their folders, and folders into theirs, so that all hang below the root."""
-    parents: dict[str, list[str]] = {}
-    for identifier in files:
-        inner = identifier
-        while "/" in inner.rstrip("/"):
-            outer = inner.rstrip("/").rpartition("/")[0] + "/"
-            parents.setdefault(outer, [])
-            if inner in parents[outer]:
-                break
-            parents[outer].append(inner)
-            inner = outer
-    for folder, parts in parents.items():
-        entity = entities.setdefault(
-            folder, {"@id": folder, "@type": "Dataset", "name": folder.rstrip("/")}
-        )
-        entity.setdefault("description", _describe_folder(folder.rstrip("/")))
-        entity["hasPart"] = [{"@id": part} for part in sorted(parts)]
-
-
-def _is_top(identifier: str, entities: dict[str, Entity]) -> bool:
-    """Whether an entity is data, and lies in the root folder itself."""
-    data = entities[identifier]["@type"] in ("File", "Dataset")
-    return data and "/" not in identifier.rstrip("/") and not identifier.startswith("#")
 
 
 # --- people and licence ---------------------------------------------------------------------------
@@ -328,7 +262,7 @@ VERBS = {
 
 
 def describe_steps(publication: Publication, entities: dict[str, Entity]) -> list[Entity]:
-    """Add an action for every stage of every layer, and for the parts of the publication.
+    """Add an action for every stage of every layer, and for every analysis.
 
     Returns
     -------
@@ -353,7 +287,7 @@ def describe_steps(publication: Publication, entities: dict[str, Entity]) -> lis
             ) from error
     for path in sorted(publication.folder.glob("objects/*/analysis/*.json")):
         actions.append(_analysis(publication, path, entities))
-    return actions + _tiles(entities)
+    return actions
 
 
 def _analysis(publication: Publication, path: Path, entities: dict[str, Entity]) -> Entity:
@@ -371,30 +305,11 @@ def _analysis(publication: Publication, path: Path, entities: dict[str, Entity])
         "@type": "CreateAction",
         "name": f"{record['object']}, {name}",
         "description": "Computed from the layers where no flag makes a pixel unusable",
-        "instrument": {"@id": _program(__version__)},
-        "object": [
-            *({"@id": one} for one in inputs),
-            _parameter(entities, "analysis", record["analysis"]),
-            *method,
-        ],
+        "instrument": _program(entities, __version__),
+        "object": [*({"@id": one} for one in inputs), *method],
         "result": [{"@id": one} for one in results],
     }
     return _add(entities, f"#{quote(path.relative_to(publication.folder).as_posix())}", entity)
-
-
-def describe_tools(entities: dict[str, Entity]) -> None:
-    """Add this program, and the libraries whose version may be in the numbers."""
-    program: Entity = {
-        "@id": _program(__version__),
-        "@type": "SoftwareApplication",
-        "name": "Levkas",
-        "version": __version__,
-        "url": LEVKAS,
-    }
-    libraries = {i for i in entities if i.startswith(PACKAGES)}
-    if libraries:
-        program["softwareRequirements"] = [{"@id": i} for i in sorted(libraries)]
-    entities[program["@id"]] = program
 
 
 def _step(
@@ -403,21 +318,6 @@ def _step(
     name, stage = record["object"], step["stage"]
     layer = "@".join(part for part in (step["camera"], step["setup"]) if part)
     identifier = f"#{quote(f'{name}-{layer}-{stage}')}"
-    program = _program(record["levkas"])
-    entities.setdefault(
-        program,
-        {
-            "@id": program,
-            "@type": "SoftwareApplication",
-            "name": "Levkas",
-            "version": record["levkas"],
-            "url": LEVKAS,
-        },
-    )
-    for library, version in record.get("libraries", {}).items():
-        address = f"{PACKAGES}{quote(library)}@{quote(version)}"
-        facts = {"name": library, "version": version, "url": address}
-        _add(entities, address, {"@type": "SoftwareApplication", **facts})
     inputs = [
         _input(entities, file, sha)
         for file, sha in step["inputs"].items()
@@ -425,15 +325,12 @@ def _step(
     ]
     declared = (f"{FOLDER}/{name}" for name in (CAMPAIGN, EDITS))
     inputs += [{"@id": name} for name in declared if name in entities]
-    parameters = {**step["parameters"], "code": step["code"]} | (
-        {"instructions": step["instructions"]} if step.get("instructions") else {}
-    )
     entity: Entity = {
         "@type": "CreateAction",
         "name": f"{name}, {layer}: {stage}",
         "description": VERBS.get(stage, stage),
-        "instrument": {"@id": program},
-        "object": inputs + [_parameter(entities, k, v) for k, v in parameters.items()],
+        "instrument": _program(entities, record["levkas"]),
+        "object": inputs,
     }
     products = [quote(product) for product in step["products"]]
     if results := [{"@id": product} for product in products if product in entities]:
@@ -450,31 +347,10 @@ def _input(entities: dict[str, Entity], file: str, sha: str) -> Entity:
     return _add(entities, f"#input-{sha[:16]}", document)
 
 
-def _parameter(entities: dict[str, Entity], name: str, value: Any) -> Entity:
-    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-    digest = hashlib.sha256(f"{name}={text}".encode()).hexdigest()[:12]
-    return _add(
-        entities, f"#parameter-{digest}", {"@type": "PropertyValue", "name": name, "value": text}
-    )
-
-
-def _tiles(entities: dict[str, Entity]) -> list[Entity]:
-    """The making of the tiles, where they are there."""
-    if "iiif/" not in entities:
-        return []
-    entity = {
-        "@type": "CreateAction",
-        "name": "iiif",
-        "description": "Cut into tiles for IIIF viewers",
-        "instrument": {"@id": _program(__version__)},
-        "object": [{"@id": "objects/"}],
-        "result": [{"@id": "iiif/"}],
-    }
-    return [_add(entities, "#made-iiif", entity)]
-
-
-def _program(version: str) -> str:
-    return f"#levkas-{version}"
+def _program(entities: dict[str, Entity], version: str) -> Entity:
+    """The version of Levkas that made something; parameters and libraries of a stage stand in provenance.json."""
+    facts = {"name": "Levkas", "version": version, "url": LEVKAS}
+    return _add(entities, f"#levkas-{version}", {"@type": "SoftwareApplication", **facts})
 
 
 def _add(entities: dict[str, Entity], identifier: str, entity: Entity) -> Entity:

@@ -39,54 +39,6 @@ LICENCES = {
     ),
 }
 """Of data sets, by SPDX's identifiers: name, and path below creativecommons.org."""
-ORGANISATIONS = frozenset(
-    [
-        "academy",
-        "archive",
-        "archives",
-        "association",
-        "authors",
-        "center",
-        "centre",
-        "college",
-        "consortium",
-        "contributors",
-        "department",
-        "foundation",
-        "galerie",
-        "gallery",
-        "gmbh",
-        "group",
-        "inc",
-        "institut",
-        "institute",
-        "institution",
-        "laboratory",
-        "levkas",
-        "library",
-        "ltd",
-        "ministry",
-        "musée",
-        "musee",
-        "museo",
-        "museum",
-        "network",
-        "office",
-        "project",
-        "society",
-        "studio",
-        "team",
-        "trust",
-        "universidad",
-        "università",
-        "universitat",
-        "universität",
-        "universite",
-        "université",
-        "university",
-    ]
-)
-"""Words, in lower case, that no person's name has."""
 
 
 @dataclass(frozen=True)
@@ -100,15 +52,12 @@ class Person:
 
     @property
     def parts(self) -> tuple[str, str]:
-        """Given and family name; the given one is empty where there is one word only.
+        """Given and family name; the given one is empty of a name that is not written ``Family, Given``.
 
-        >>> Person("Mirhashemi, Alireza").parts, Person("Ada M. Lovelace").parts
-        (('Alireza', 'Mirhashemi'), ('Ada M.', 'Lovelace'))
+        >>> Person("Mirhashemi, Alireza").parts, Person("Opificio delle Pietre Dure").parts
+        (('Alireza', 'Mirhashemi'), ('', 'Opificio delle Pietre Dure'))
         """
-        family, comma, given = (part.strip() for part in self.name.partition(","))
-        if comma:
-            return given, family
-        given, _, family = self.name.strip().rpartition(" ")
+        family, _, given = (part.strip() for part in self.name.partition(","))
         return given, family
 
     @property
@@ -275,34 +224,14 @@ def fact_missing(facts: PublicationFacts, field: str, message: str, example: str
     return Problem("E_FACT_MISSING", message, file=facts.file, field=field, fix=fix)
 
 
-def is_organisation(name: str) -> bool:
-    """Whether a name is that of an organisation or a program, which no list turns to ``Family, Given``.
-
-    A name with a comma is a person's; one with a word of `ORGANISATIONS` or a number is not.
-
-    Examples
-    --------
-    >>> [is_organisation(name) for name in ("University of Eastern Finland", "levkas simulate")]
-    [True, True]
-    >>> [is_organisation(name) for name in ("Ada M. Lovelace", "Museum, Ada", "陳 大文", "bell hooks")]
-    [False, False, False, False]
-    """
-    words = re.findall(r"\w+", name)
-    if "," in name or not words:
-        return False
-    return any(w.lower() in ORGANISATIONS or w.isdigit() for w in words)
-
-
 def _person(record: Any) -> Person:
     if isinstance(record, str):
         record = {"name": record}
-    name, stated = _line(record.get("name", "")), record.get("organisation")
-    guessed = not record.get("orcid") and is_organisation(name)
     return Person(
-        name,
+        _line(record.get("name", "")),
         str(record.get("orcid", "")).removeprefix(ORCID),
         _line(record.get("affiliation", "")),
-        guessed if stated is None else bool(stated),
+        record.get("organisation") is True,
     )
 
 

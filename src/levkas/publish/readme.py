@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.core.flags import MARKS
+from levkas.database.catalogue import MEASURED
 from levkas.database.registrations import describe_pairs, read_registration
 from levkas.publish.citation import cite
 from levkas.publish.publication import describe_dataset
@@ -33,7 +34,6 @@ PARTS = {
     "colour/": "the CIELAB gamut of the database",
     "iiif/": "tiles and manifests for IIIF viewers",
     "viewer/": "open [index.html](index.html) in a browser: no server is needed",
-    "ro-crate-preview.html": "every file and its processing steps, as a page",
     "ro-crate-metadata.json": "the same for programs, RO-Crate",
     "datacite.json": "DataCite metadata",
     "CITATION.cff": "how to cite",
@@ -82,11 +82,10 @@ def pages_beside(root: Path) -> list[tuple[str, str]]:
     known = {
         "Viewer": "index.html",
         "Read me": PAGE,
-        "Files and their making": "ro-crate-preview.html",
         "Catalogue": "catalogue.csv",
         "How to cite": "CITATION.cff",
     }
-    later = (PAGE, "ro-crate-preview.html")
+    later = (PAGE,)
     there = {name for name in known.values() if name in later or (root / name).is_file()}
     return [(words, name) for words, name in known.items() if name in there]
 
@@ -150,7 +149,7 @@ def _by_hand(root: Path, entry: Entry) -> str:
 
 
 def _files(root: Path) -> str:
-    later = {"manifest-sha256.txt", "ro-crate-metadata.json", "ro-crate-preview.html"}
+    later = {"manifest-sha256.txt", "ro-crate-metadata.json"}
     if any(root.glob("objects/*/analysis")):
         later.add("objects/OBJECT/analysis/")
     here = [n for n in PARTS if (root / n).exists() or n in later]
@@ -159,7 +158,8 @@ def _files(root: Path) -> str:
 
 
 def _reading(entries: tuple[Entry, ...]) -> str:
-    first = entries[0]
+    first = next((e for e in entries if e.kind == MEASURED), entries[0])
+    row, column = first.height // 2, first.width // 2
     layer = first.layer.name
     key = f'"{first.camera}", "{first.setup}"' if first.setup else f'"{first.camera}"'
     return f"""## How to read it
@@ -170,7 +170,7 @@ In Python with Levkas, which brings flags, sigma and maps between the pixels of 
 import levkas
 
 cube = levkas.open(".")["{first.object}"][{key}]  # xarray.DataArray (y, x, band)
-spectrum, flags = cube[80, 40], cube.levkas.flags[80, 40]
+spectrum, flags = cube[{row}, {column}], cube.levkas.flags[{row}, {column}]
 ```
 
 Without it:

@@ -472,7 +472,6 @@ PARTS = {
     "viewer": "levkas.publish.viewer.run:write_part",
     "readme": "levkas.publish.readme:write_readme",
     "crate": "levkas.publish.crate:write_crate",
-    "preview": "levkas.publish.preview:write_preview",
 }
 """Name of a part → where its function is; imported when it is run."""
 

@@ -5,8 +5,8 @@ Of the reference camera's layers, where its bands are narrow and cover what the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,11 +23,8 @@ ROWS = 128
 """Of a layer, looked at together."""
 UNTRUE = Flag.OUTSIDE | Flag.SATURATED | Flag.GLARE
 """Pixels with one of these in any band show no colour of the painting."""
-SCALE, MARGIN, TICK = 3, 46, 20
-"""Px a ΔE unit, px around a view, units between ticks."""
-LEAST = ((0, -80, -80), (100, 100, 120))
-"""What the axes reach at least: L, a, b."""
-PAPER, GRID, INK = (255, 255, 255), (225, 225, 225), (40, 40, 40)
+SIZE = 1100, 620
+"""Of the picture, px."""
 
 
 def write_gamut(publication: Publication) -> Iterator[str]:
@@ -50,7 +47,7 @@ def write_gamut(publication: Publication) -> Iterator[str]:
 
 
 def draw_gamut(cells: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Draw three views side by side: filled cells in their own colour, `others` as black dots.
+    """Draw three views: filled cells in their own colour, `others` as black dots.
 
     Parameters
     ----------
@@ -63,77 +60,23 @@ def draw_gamut(cells: np.ndarray, others: np.ndarray) -> np.ndarray:
     -------
     picture : ndarray, (height, width, 3), uint8
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    from levkas.pages.plots import new_figure
+
+    figure = new_figure(*SIZE)
+    canvas = FigureCanvasAgg(figure)
+    panels = figure.subplot_mosaic("AB;AC")
     colours = lab_colours(cells[:, :3])
-    low, high = (_reach(np.floor, -1, cells, LEAST[0]), _reach(np.ceil, 1, cells, LEAST[1]))
-    views = []
-    for across, up, x, y in VIEWS.values():
-        depth = 3 - x - y  # what lies nearer to the eye is drawn last
-        order = np.argsort(cells[:, depth], kind="stable")
-        spans = (low[x], high[x], low[y], high[y])
-        within = np.all((others >= low) & (others <= high), axis=1)
-        views.append(
-            _view(cells[order], colours[order], others[within], (x, y), spans, (across, up))
-        )
-    return _side_by_side(views[0], _above(views[1], views[2]))
-
-
-def _reach(turn: Callable[..., np.ndarray], side: int, cells: np.ndarray, least: Any) -> np.ndarray:
-    """Return how far the axes reach on one side: whole ticks around the cells, and at least so far."""
-    ends = cells[:, :3].max(0) if side > 0 else cells[:, :3].min(0)
-    whole = turn(ends / TICK) * TICK
-    return np.maximum(whole, least) if side > 0 else np.minimum(whole, least)
-
-
-def _above(upper: np.ndarray, lower: np.ndarray) -> np.ndarray:
-    width = max(upper.shape[1], lower.shape[1])
-    return np.concatenate([_padded(v, v.shape[0], width) for v in (upper, lower)], axis=0)
-
-
-def _side_by_side(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    height = max(left.shape[0], right.shape[0])
-    return np.concatenate([_padded(v, height, v.shape[1]) for v in (left, right)], axis=1)
-
-
-def _padded(view: np.ndarray, height: int, width: int) -> np.ndarray:
-    more = ((0, height - view.shape[0]), (0, width - view.shape[1]), (0, 0))
-    return np.pad(view, more, constant_values=255)
-
-
-def _view(
-    cells: np.ndarray,
-    colours: np.ndarray,
-    others: np.ndarray,
-    columns: tuple[int, int],
-    spans: tuple[float, float, float, float],
-    names: tuple[str, str],
-) -> np.ndarray:
-    from PIL import Image, ImageDraw
-
-    left, right, bottom, top = spans
-    size = (int((right - left) * SCALE) + 2 * MARGIN, int((top - bottom) * SCALE) + 2 * MARGIN)
-    image = Image.new("RGB", size, PAPER)
-    pen = ImageDraw.Draw(image)
-
-    def place(u: float, v: float) -> tuple[float, float]:
-        return MARGIN + (u - left) * SCALE, size[1] - MARGIN - (v - bottom) * SCALE
-
-    for u in np.arange(left, right + 1, TICK):
-        pen.line([place(u, bottom), place(u, top)], GRID)
-        pen.text((place(u, bottom)[0], size[1] - MARGIN + 6), f"{u:g}", INK, anchor="mt")
-    for v in np.arange(bottom, top + 1, TICK):
-        pen.line([place(left, v), place(right, v)], GRID)
-        pen.text((MARGIN - 6, place(left, v)[1]), f"{v:g}", INK, anchor="rm")
-    pen.text((size[0] / 2, size[1] - 12), names[0], INK, anchor="mm")
-    pen.text((MARGIN, MARGIN - 16), names[1], INK, anchor="mm")
-    canvas = np.array(image)
-    half = SCALE // 2
-    for dots, shades in ((cells, colours), (others, None)):
-        x, y = (np.array(place(0, 0))[:, None] + SCALE * dots[:, columns].T * [[1], [-1]]).round()
-        side = half if shades is not None else 0
-        for dy in range(-side, side + 1):
-            for dx in range(-side, side + 1):
-                canvas[y.astype(int) + dy, x.astype(int) + dx] = 0 if shades is None else shades
-    return canvas
+    for axes, (across, up, x, y) in zip(panels.values(), VIEWS.values(), strict=True):
+        order = np.argsort(cells[:, 3 - x - y], kind="stable")  # what lies nearer is drawn last
+        shades = colours[order] / 255
+        axes.scatter(cells[order, x], cells[order, y], 5, shades, marker="s", linewidths=0)
+        axes.scatter(others[:, x], others[:, y], 0.4, "black")
+        axes.set(xlabel=across, ylabel=up, aspect="equal")
+        axes.grid(alpha=0.4)
+    canvas.draw()
+    return np.array(canvas.buffer_rgba())[..., :3].copy()
 
 
 def _shows_colour(publication: Publication, entry: Entry) -> bool:

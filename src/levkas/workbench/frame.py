@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import threading
 from collections.abc import Callable, Mapping
@@ -14,14 +13,13 @@ import numpy as np
 
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Inverse, Transform
-from levkas.workbench import pictures
 from levkas.workbench.correlation import REACH_PX, SURE, Correlated, find_partner
-from levkas.workbench.pictures import ShownPicture, encode, tinted, warped_tile
-from levkas.workbench.session import apply_corrections, refused
+from levkas.workbench.pictures import ShownPicture, encode, warped_tile
+from levkas.workbench.session import refused
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture, SensorFrames
-    from levkas.workbench.session import CorrectionResult, CorrectionSession
+    from levkas.workbench.session import CorrectionSession
 
 SIDES = ("reference", "target")
 FEW = 12
@@ -43,7 +41,6 @@ class RegistrationView:
     band, reference_band : str
         Shown unless others are chosen.
     read : callable, (capture, band) → Picture
-    read_flags : callable, (capture, band) → ndarray, (h, w), uint8
     """
 
     view: SensorView
@@ -54,11 +51,7 @@ class RegistrationView:
     band: str
     reference_band: str
     read: Callable[[Capture, str], ShownPicture]
-    read_flags: Callable[[Capture, str], np.ndarray]
     lock: threading.RLock = field(default_factory=threading.RLock)
-    trial: CorrectionResult | None = None
-    """What the map would be if a pair lay elsewhere."""
-    trials: int = 0
     builds: int = 0
     """How often it was registered again."""
 
@@ -133,29 +126,13 @@ class RegistrationView:
             self.record, self.main_record = fresh.record, fresh.main_record
             for name in ("_built", "_own"):
                 self.__dict__.pop(name, None)
-            self.trial, self.builds = None, self.builds + 1
+            self.builds += 1
             self.session.refresh(fresh.session.found)
 
     def forward(self, which: str) -> Transform:
-        """Return the map of the last build (``"built"``), of a trial (``"trial"``), else of the pairs as they stand."""
+        """Return the map of the last build (``"built"``), else of the pairs as they stand."""
         with self.lock:  # a picture may not be brought over by a map that an edit is replacing
-            if which == "trial" and self.trial is not None:
-                return self.trial.forward
             return self.built if which == "built" and self.built else self.session.view.forward
-
-    def attempt(self, pair: list[float], to: list[float] | None = None) -> dict[str, Any]:
-        """Try what the map would be with one pair more, or elsewhere; nothing is changed.
-
-        Raises
-        ------
-        OperationRefused
-        """
-        edits = self.session.changed("move" if to else "add", pair, to)
-        self.trial, self.trials = apply_corrections(self.session.found, edits), self.trials + 1
-        kept = self.trial.matches.residual[self.trial.matches.kept]
-        good = kept[np.isfinite(kept)]
-        mean = round(float(good.mean()), 4) if len(good) else None
-        return {"trial": self.trials, "mean": mean, "refusal": self.trial.refusal}
 
     def picture(self, which: str, label: str = "") -> ShownPicture:
         """Return a picture of the ``"reference"`` or of the ``"target"``, of the band shown unless another is named."""
@@ -169,7 +146,6 @@ class RegistrationView:
         place: tuple[int, int, int],
         *,
         map_: str = "",
-        tint: str = "",
         bands: tuple[int, ...] = (),
     ) -> tuple[bytes, str]:
         """Return a tile of the ``reference``, of the ``target``, or of the target ``warped`` on to it.
@@ -179,7 +155,6 @@ class RegistrationView:
         place : (level, column, row)
         map_ : str
             As `forward` takes it.
-        tint : {"red", "cyan", ""}
         bands : tuple of int
             Numbers of one band, or of three as red, green and blue.
 
@@ -196,7 +171,7 @@ class RegistrationView:
         parts = [self._part(which, label, place, map_) for label in self.labels(side, bands)]
         inside = [valid for _, valid in parts if valid is not None]
         values = parts[0][0] if len(parts) == 1 else np.dstack([part for part, _ in parts])
-        return encode(tinted(values, tint), np.all(inside, axis=0) if inside else None)
+        return encode(values, np.all(inside, axis=0) if inside else None)
 
     def _part(
         self, which: str, label: str, place: tuple[int, int, int], map_: str
@@ -318,31 +293,6 @@ class RegistrationView:
         found = find_partner(*pictures, local, nearest_rows[:2], reach=reach)
         x, y = np.array(found.target) - shift
         return replace(found, target=(float(x), float(y)))
-
-    def map(self, kind: str, which: str = "") -> dict[str, Any]:
-        """Draw one of `maps.KINDS`; PNG in base64, and what its ends mean.
-
-        Raises
-        ------
-        MapMissing
-        """
-        size = self.session.found.size
-        if kind == "sigma":
-            drawn = pictures.draw_sigma(self.record, self.band, size)
-        elif kind == "leave-one-out":
-            drawn = pictures.draw_leave_one_out(self.session.view.matches, size)
-        elif kind == "ssim":
-            forward = self.forward(which)
-            drawn = pictures.draw_ssim(self.picture("reference"), self.picture("target"), forward)
-        else:
-            flags = self.read_flags(self.capture, self.band)
-            drawn = pictures.draw_flags(flags, self.forward(which), size)
-        png = pictures.to_png(drawn)
-        return {
-            "low": round(drawn.low, 5),
-            "high": round(drawn.high, 5),
-            "png": base64.b64encode(png).decode("ascii"),
-        }
 
     def export(self) -> tuple[str, bytes]:
         """Return the pairs as a CSV, its name first."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import threading
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import cached_property, partial
@@ -36,7 +35,6 @@ from levkas.pages.page import describe_decision
 from levkas.registration.record import COLUMNS, DECISIONS, Matches, decided
 from levkas.stages.native_cubes import part_name
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
-from levkas.workbench.history import History, HistoryFile
 from levkas.workbench.pictures import ShownPicture, read_picture
 from levkas.workbench.session import CorrectionSession, OperationRefused, RecordedPairs
 from levkas.workbench.tiles import (
@@ -77,8 +75,8 @@ class Library:
     _frames: dict[str, RegistrationView] = field(default_factory=dict)
     _pictures: dict[tuple[str, str], ShownPicture] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)
-    _writer: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1))
-    """Keeps histories beside the answers: nobody waits for that."""
+    turns: dict[str, int] = field(default_factory=dict)
+    """By how many degrees clockwise a person turned the pictures of an object."""
 
     @cached_property
     def campaign(self) -> Campaign:
@@ -175,23 +173,9 @@ class Library:
         """edits.toml."""
         return self.campaign.root / FILE_NAME
 
-    @property
-    def history(self) -> HistoryFile:
-        """What keeps undo over the end of the server."""
-        return HistoryFile(self.campaign.root)
-
-    def remember(self, name: str, frame: str, history: History) -> None:
-        """Keep the history of a camera, soon."""
-        self._writer.submit(self.history.write, name, frame, history.to_dict())
-
-    def settle(self) -> None:
-        """Wait until all histories are kept."""
-        self._writer.submit(int).result()
-
     def turn_of(self, frame: RegistrationView) -> int:
         """Return by how many degrees clockwise the pictures of a camera are turned: as a person did, else upright."""
-        turn = self.history.turn(frame.capture.object)
-        return frame.upright if turn is None else turn
+        return self.turns.get(frame.capture.object, frame.upright)
 
     def registered_with(self, frame: RegistrationView) -> dict[str, Any]:
         """Return the corrections with which a camera was registered last, in words, and the declared outline; None where nothing says."""
@@ -302,7 +286,7 @@ class Library:
     def catch_up(self, frame: RegistrationView) -> None:
         """Take over what others wrote into edits.toml of a camera; the frame's lock is held by the caller."""
         edits = read_edits(self.edits_path)
-        outline = edits.outlines.get(frame.capture.object, ())
+        outline = () if frame.view.beside else edits.outlines.get(frame.capture.object, ())
         frame.session.take(self._edits(frame.view, edits), outline)
 
     def reopen(self, key: str) -> None:
@@ -332,13 +316,6 @@ class Library:
                     self._pictures.pop(next(iter(self._pictures)))
             self._pictures[key] = self._pictures.pop(key)
             return self._pictures[key]
-
-    def flags(self, capture: Capture, band: str) -> np.ndarray:
-        """Return the flags of one band, (h, w) uint8, native px."""
-        from levkas.database.tiff_pages import open_pages
-
-        path, page = self._page(capture, band)
-        return open_pages(path.with_name(path.stem + ".flags.tif")).read_page(page)
 
     def _page(self, capture: Capture, band: str) -> tuple[Path, int]:
         for sensor in capture.sensors:
@@ -394,13 +371,10 @@ class Library:
             stop=keys.get("stop", 1.0),
         )
         edits = read_edits(self.edits_path)
-        place = capture.object, f"{view.frame}{'' if view.is_first else f':{view.sensor.name}'}"
         session = CorrectionSession(
             found,
             self._edits(view, edits),
             partial(self._save, view),
-            self.history.read(*place),
-            partial(self.remember, *place),
             () if view.beside else edits.outlines.get(capture.object, ()),
             _no_outline
             if view.beside
@@ -409,7 +383,7 @@ class Library:
         main = SensorView(reference, sensor_of(reference, str(ours["band"])))
         return RegistrationView(
             view, main, record, main_record, session, band, str(ours["band"]),
-            self.picture, self.flags,
+            self.picture,
         )  # fmt: skip
 
     def _sizes(self, view: SensorView) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -1,13 +1,12 @@
 """Corrections of one registration: operations on pairs, refit, undo.
 
 An operation is a function from corrections to corrections. A session holds what the method found, the
-corrections so far and the steps that led there, so that undo has no end. Outliers are removed from the
+corrections so far and the states before them, which undo goes back to. Outliers are removed from the
 corrected pairs by the paper's way, whatever method found them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -36,15 +35,14 @@ from levkas.registration.mirhashemi2019 import REJECT_SHARE, scale_only
 from levkas.registration.outliers import Cleaned, RemovalTerms, clean, cut
 from levkas.registration.record import HandMark, Matches, MatchState, RegistrationRefused
 from levkas.registration.request import check_outline
-from levkas.workbench.history import CorrectionStep, History, number_pairs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 KINDS = ("deleted", "restored", "pinned", "added", "checks")
 
-
-THRESHOLDS = {"reject": (0.1, 1e6), "stop": (0.001, 1e6)}
+MOST_STATES = 200
+"""States that undo goes back to at most; the oldest go."""
 
 
 class OperationRefused(Refused):
@@ -123,21 +121,6 @@ def check(edits: FrameEdits, pair: Pair) -> FrameEdits:
     return _with(_without(edits, pair), "checks", pair)
 
 
-def set_threshold(edits: FrameEdits, name: str, value: float | None) -> FrameEdits:
-    """Set `reject` or `stop`, reference px; None gives the campaign's back.
-
-    Raises OperationRefused where the value makes no sense.
-    """
-    if name not in THRESHOLDS:
-        raise refused("there is no such slider", name, ", ".join(THRESHOLDS))
-    if value is None:
-        return _set(edits, name, None)
-    low, high = THRESHOLDS[name]
-    if not low <= value <= high:
-        raise refused(f"`{name}` cannot be that", value, f"{low:g} to {high:g} reference px")
-    return _set(edits, name, round(float(value), 3))
-
-
 OPERATIONS: dict[str, Callable[..., FrameEdits]] = {
     "delete": delete,
     "restore": restore,
@@ -175,18 +158,11 @@ def _set(edits: FrameEdits, name: str, value: Any) -> FrameEdits:
 
 LEAST_FITTED = 3
 
-
 ORDERS = ((20, 3), (12, 2), (3, 1))
 """Least number of pairs, order of the polynomial that they carry."""
 
-
 LEAST_STARTED = 0.9
 """Share of the kept pairs that the paper's start, scale alone, must bring within `reject`."""
-
-
-STILL_PX = 0.02
-"""Target px that a map may move before pictures are brought over anew: less than is visible."""
-
 
 CUT = "farther than `reject` at the start"
 
@@ -241,6 +217,10 @@ class CorrectionResult:
     refusal: str = ""
 
 
+State = tuple[FrameEdits, Outline]
+"""Corrections of a camera, and the outline of its object."""
+
+
 @dataclass
 class CorrectionSession:
     """Corrections of one frame, with undo and redo.
@@ -250,12 +230,7 @@ class CorrectionSession:
     found : FoundPartner
     edits : FrameEdits
     save : callable, optional
-        Writes a change, (before, after), on top of what others wrote meanwhile; returns what stands
-        there then. Where it raises, nothing was changed.
-    history : History, optional
-        Steps that can be undone and redone.
-    remember : callable, optional
-        Keeps the history after each change.
+        Writes a change, (before, after); returns what stands there then. Where it raises, nothing was changed.
     outline : (n, 2) corners, reference px
         Of the object, as edits.toml has it for all its cameras; none where nobody drew it.
     save_outline : callable, optional
@@ -265,25 +240,15 @@ class CorrectionSession:
     found: RecordedPairs
     edits: FrameEdits = field(default_factory=FrameEdits)
     save: Callable[[FrameEdits, FrameEdits], FrameEdits] | None = None
-    history: History = field(default_factory=History)
-    remember: Callable[[History], object] | None = None
     outline: Outline = ()
     save_outline: Callable[[Outline, Outline], Outline] | None = None
     version: int = 0
+    done: list[State] = field(default_factory=list)
+    undone: list[State] = field(default_factory=list)
+    """States before and after, the next last."""
+    numbers: dict[Pair, int] = field(default_factory=dict)
+    """By which a person's own pairs are known, wherever they stand in the table."""
     _view: CorrectionResult | None = None
-    _drawn: tuple[int, np.ndarray] | None = None
-
-    @property
-    def drawn(self) -> int:
-        """The version by whose map pictures are brought over: the present one only where that map has moved."""
-        places = self.view.forward(_over(self.found.size))
-        if self._drawn is not None:
-            moved = np.abs(places - self._drawn[1]) > STILL_PX
-            moved |= np.isnan(places) != np.isnan(self._drawn[1])
-            if not moved.any():
-                return self._drawn[0]
-        self._drawn = (self.version, places)
-        return self.version
 
     @property
     def view(self) -> CorrectionResult:
@@ -295,10 +260,13 @@ class CorrectionSession:
     @property
     def can(self) -> dict[str, int]:
         """How many changes can be undone and redone."""
-        return {"undo": len(self.history.done), "redo": len(self.history.undone)}
+        return {"undo": len(self.done), "redo": len(self.undone)}
 
-    def number(self) -> np.ndarray:
-        """Return the number of each pair of the view, (n,) int; it stays while others come and go."""
+    def number(self) -> list[int]:
+        """Return the number of each pair of the view: those that the method found in their order, then a person's own.
+
+        A pair of one's own keeps its number while others come and go; a found pair that was moved has its own one.
+        """
         matches, found = self.view.matches, self.found.matches
         rows = np.hstack([matches.reference, matches.target])[len(found) :]
         origins: dict[Pair, int] = {}
@@ -306,9 +274,15 @@ class CorrectionSession:
             moves = np.array(self.edits.moved, float)
             at = nearest_rows(moves[:, :4], np.hstack([found.reference, found.target]))
             moved = zip(self.edits.moved, at.tolist(), strict=True)
-            origins = {move[4:]: row for move, row in moved if row >= 0}
+            origins = {move[4:]: row + 1 for move, row in moved if row >= 0}
         own = [round_pair(row) for row in rows.tolist()]
-        return np.array(number_pairs(len(found), own, self.history.numbers, origins), int)
+        for pair in own:
+            if pair not in self.numbers and pair not in origins:
+                self.numbers[pair] = max([len(found), *self.numbers.values()]) + 1
+        return [
+            *range(1, len(found) + 1),
+            *(origins[pair] if pair in origins else self.numbers[pair] for pair in own),
+        ]
 
     def apply(self, name: str, pair: Sequence[float], to: Sequence[float] | None = None) -> None:
         """Do one of `OPERATIONS` to a pair.
@@ -318,22 +292,15 @@ class CorrectionSession:
         OperationRefused
             Where there is no such operation, or the places cannot be.
         """
-        changed = self.changed(name, pair, to)
-        numbers = self.history.numbers
-        if name == "move" and to is not None and round_pair(pair) in numbers:
-            numbers.setdefault(round_pair(to), numbers[round_pair(pair)])
-        self._change(changed)
-
-    def changed(
-        self, name: str, pair: Sequence[float], to: Sequence[float] | None = None
-    ) -> FrameEdits:
-        """Return what the corrections would be after `apply`."""
         if name not in OPERATIONS:
             raise refused("there is no such operation", name, ", ".join(OPERATIONS))
         places = [_place(pair, self.found)]
         if name == "move":
             places.append(_place(to or (), self.found))
-        return OPERATIONS[name](self.edits, *places)
+            first, last = map(round_pair, places)
+            if first in self.numbers:
+                self.numbers.setdefault(last, self.numbers[first])
+        self._change(OPERATIONS[name](self.edits, *places))
 
     def add_all(self, added: Sequence[Pair], checks: Sequence[Pair]) -> None:
         """Add many pairs as one change: what an import brings."""
@@ -343,27 +310,6 @@ class CorrectionSession:
                 if kind == "check" and pair in edits.checks:
                     continue
                 edits = OPERATIONS[kind](edits, _place(pair, self.found))
-        self._change(edits)
-
-    def slide(self, name: str, value: float | None) -> None:
-        """Set `reject` or `stop`, or give the campaign's back; sliding is one change."""
-        edits = set_threshold(self.edits, name, value)
-        reject = edits.reject or self.found.reject or reject_of(self.found.size)
-        if reject <= (edits.stop or self.found.stop):
-            raise refused("`reject` must be above `stop`", reject, "more than `stop`")
-        last = self.history.done[-1] if self.history.done else CorrectionStep()
-        if (
-            edits != self.edits
-            and not (last.removed or last.outline)
-            and set(last.values) == {name}
-        ):
-            # A slider that is drawn along is one change, not one for each place it passed.
-            written = self._set(edits)
-            self.history.done.pop()
-            self._keep(
-                CorrectionStep(values={name: (last.values[name][0], getattr(edits, name))}), written
-            )
-            return
         self._change(edits)
 
     def take_all_back(self) -> None:
@@ -387,103 +333,63 @@ class CorrectionSession:
         """
         if corners and (problems := check_outline(corners, self.found.size)):
             raise OperationRefused(*problems)
-        before, after = self.outline, round_corners(corners)
-        if before != after:
-            self._set_outline(before, after)
-            self._keep(CorrectionStep(outline=(before, after)), self.edits)
+        self._change(self.edits, round_corners(corners))
 
     def undo(self) -> None:
         """Take the last change back; nothing where there is none."""
-        self._step(self.history.done, self.history.undone, CorrectionStep.reversed)
+        self._go(self.done, self.undone)
 
     def redo(self) -> None:
         """Do again what was undone last."""
-        self._step(self.history.undone, self.history.done, replace)
+        self._go(self.undone, self.done)
 
     def refresh(self, found: RecordedPairs) -> None:
-        """Go on from what a new build found; corrections and undo stay."""
-        self.found, self._view = found, None
+        """Go on from what a new build found; corrections and undo stay, one's own pairs are numbered anew."""
+        self.found, self._view, self.numbers = found, None, {}
         self.version += 1
 
-    def take(self, present: FrameEdits, outline: Outline | None = None) -> None:
-        """Go on from what others made of the corrections, and of the outline; undo takes back what was done here alone."""
-        drawn = self.outline if outline is None else outline
-        if (present, drawn) == (self.edits, self.outline):
-            return
-        for steps, walk in (
-            (self.history.done, CorrectionStep.reversed),
-            (self.history.undone, replace),
-        ):
-            while steps and not walk(steps[-1]).changes(present, drawn):
-                steps.pop()
-        if present != self.edits:
-            self._view = None
-        self.edits, self.outline = present, drawn
+    def take(self, present: FrameEdits, outline: Outline) -> None:
+        """Go on from what others made of the corrections and of the outline; what was done here before cannot be undone then."""
+        if (present, outline) != (self.edits, self.outline):
+            self.done, self.undone = [], []
+            self._become((present, outline))
+
+    def _become(self, state: State) -> None:
+        self.edits, self.outline = state
+        self._view = None
         self.version += 1
 
-    def _step(
-        self,
-        source: list[CorrectionStep],
-        into: list[CorrectionStep],
-        walk: Callable[[CorrectionStep], CorrectionStep],
-    ) -> None:
+    def _go(self, source: list[State], into: list[State]) -> None:
         if not source:
             return
-        step, written = walk(source[-1]), self.edits
-        if step.outline is None:
-            written = self._set(step.onward(self.edits))
-        elif step.changes(self.edits, self.outline):
-            self._set_outline(*step.outline)
-        into.append(source.pop())
-        self.take(written)
-        self._remember()
+        now = self.edits, self.outline
+        self._write(*source[-1])
+        source.pop()
+        into.append(now)
 
-    def _change(self, edits: FrameEdits) -> None:
-        if edits != self.edits:
-            step = CorrectionStep.between(self.edits, edits)
-            self._keep(step, self._set(edits))
+    def _change(self, edits: FrameEdits, outline: Outline | None = None) -> None:
+        now = self.edits, self.outline
+        if (edits, self.outline if outline is None else outline) == now:
+            return
+        self._write(edits, self.outline if outline is None else outline)
+        self.done = [*self.done, now][-MOST_STATES:]
+        self.undone = []
 
-    def _keep(self, step: CorrectionStep, written: FrameEdits) -> None:
-        """Note a step that was saved; a slider that came back to where it was is none."""
-        if step.reversed().changes(self.edits, self.outline):
-            self.history.done.append(step)
-        self.history.undone.clear()
-        self.take(written)
-        self._remember()
-
-    def _remember(self) -> None:
-        if self.remember is not None:
-            self.number()
-            self.remember(self.history)
-
-    def _set_outline(self, before: Outline, after: Outline) -> None:
-        if self.save_outline is not None:
-            try:
-                after = self.save_outline(before, after)
-            except EditsConflict as conflict:
-                self.take(self.edits, conflict.present)
-                raise
-        self.outline = after
-        self.version += 1
-
-    def _set(self, edits: FrameEdits) -> FrameEdits:
-        """Save and take over; return what is saved, others' changes included."""
-        if edits == self.edits:
-            return edits
-        if self.save is None:
-            view, written = None, edits
-        else:
-            with ThreadPoolExecutor(1) as beside:  # the disk is waited for while the fit is made
-                saving = beside.submit(self.save, self.edits, edits)
-                view = apply_corrections(self.found, edits)
-                try:
-                    written = saving.result()
-                except EditsConflict as conflict:
-                    self.take(conflict.present)
-                    raise
-        self.edits, self._view = edits, view
-        self.version += 1
-        return written
+    def _write(self, edits: FrameEdits, outline: Outline) -> None:
+        """Save a state and take it over; where another writes too, take over what stands there."""
+        try:
+            if outline != self.outline and self.save_outline is not None:
+                outline = self.save_outline(self.outline, outline)
+            if edits != self.edits and self.save is not None:
+                edits = self.save(self.edits, edits)
+        except EditsConflict as conflict:
+            present = conflict.present
+            if isinstance(present, FrameEdits):
+                self.take(present, self.outline)
+            else:
+                self.take(self.edits, present)
+            raise
+        self._become((edits, outline))
 
 
 def apply_corrections(found: RecordedPairs, edits: FrameEdits) -> CorrectionResult:
@@ -595,12 +501,6 @@ def _with_checks(matches: Matches, checks: np.ndarray, forward: Transform) -> Ma
     if not len(checks):
         return matches
     return with_checks(matches, checks, measure_checks(checks, forward))
-
-
-def _over(size: tuple[int, int]) -> np.ndarray:
-    """Places all over a picture, its corners too, (n, 2)."""
-    along, down = (np.linspace(-0.5, n - 0.5, 9) for n in size)
-    return np.stack(np.meshgrid(along, down), -1).reshape(-1, 2)
 
 
 def _place(pair: Sequence[float], found: RecordedPairs) -> Pair:

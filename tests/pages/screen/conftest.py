@@ -7,8 +7,6 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from levkas.workbench.history import HISTORY_NAME
-
 from .database import write_database
 from .serving import Served, opened
 
@@ -136,9 +134,8 @@ def served(correctable, inspected, tmp_path_factory):
 @pytest.fixture
 def bench(served, browser):
     """The workbench without any correction, opened: (page, server)."""
-    served.library.settle()
     served.edits_path.unlink(missing_ok=True)
-    (served.folder / HISTORY_NAME).unlink(missing_ok=True)
+    served.library.turns.clear()
     served.library._frames.clear()
     return opened(browser, served), served
 

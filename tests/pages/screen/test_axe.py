@@ -1,10 +1,12 @@
 """No violation of axe-core's rules on any page, light and dark, wide and narrow, folded and open."""
 
+from pathlib import Path
+
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 
-from .kinds import KINDS, write_kinds
 from .serving import READY, opened, pause
+from .walking import nameless, walk
 
 pytestmark = pytest.mark.slow
 # 1280 px enlarged to 400 % are 320 px.
@@ -29,23 +31,26 @@ def unfold(page):
 
 
 @pytest.fixture(scope="module")
-def kinds(tmp_path_factory):
-    return write_kinds(tmp_path_factory.mktemp("kinds"))
+def written(world, tmp_path_factory):
+    """The report, the pages of cameras and of charts that a build wrote, and a plan."""
+    from levkas.pages.plan import write_report
+    from levkas.planning import load_setup
+
+    bench = Path(__file__).parents[3] / "examples/plan/bench.toml"
+    plan = write_report(tmp_path_factory.mktemp("plan") / "plan.html", load_setup(bench))
+    return [plan, *sorted(world.database.rglob("*.html"))]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_no_page_of_one_file_breaks_a_rule_or_is_wider_than_the_window(browser, kinds, kind):
-    for width, scheme in SIZES:
-        page = browser.open(kinds[kind].as_uri(), width=width, scheme=scheme)
-        unfold(page)
-        assert violations(page) == [], (width, scheme)
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-
-
-def test_a_rule_that_is_broken_is_seen(browser, kinds):
-    page = browser.open(kinds["plan"].as_uri())
-    page.evaluate("document.querySelector('figure').innerHTML = '<img src=\"data:,\">'")
-    assert [rule for rule, _, _ in violations(page)] == ["image-alt"]
+def test_no_page_of_one_file_breaks_a_rule_or_is_wider_than_the_window(browser, written):
+    assert len(written) >= 3
+    for path in written:
+        for width, scheme in SIZES:
+            page = browser.open(path.as_uri(), width=width, scheme=scheme)
+            unfold(page)
+            assert violations(page) == [], (path.name, width, scheme)
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.evaluate("document.querySelector('main').innerHTML += '<img src=\"data:,\">'")
+    assert "image-alt" in [rule for rule, _, _ in violations(page)]
 
 
 @pytest.mark.parametrize("name", ["index.html", "viewer/objects/icon1/index.html"])
@@ -81,3 +86,41 @@ def test_the_workbench_breaks_no_rule(served, browser):
         assert violations(page) == []
         page.keyboard.press("?")
         assert violations(page) == []
+
+
+def check_walk(page):
+    """Tab leads to every stop once, there and back, each in view, with a ring and a name."""
+    for key in ("Tab", "Shift+Tab"):
+        count, met = walk(page, key)
+        assert sorted(int(here["stop"]) for here in met) == list(range(count)), key
+        assert [here["html"] for here in met if not (here["ring"] and here["inside"])] == []
+    assert nameless(page) == []
+
+
+def test_tab_leads_to_everything_in_the_workbench_and_a_trap_is_seen(bench):
+    page, _ = bench
+    page.keyboard.press("w")
+    for mode in "sk":
+        page.keyboard.press(mode)
+        page.wait_for_function(READY)
+        check_walk(page)
+    page.evaluate(
+        """() => { const bare = document.querySelector('#files'); bare.textContent = '';
+          const trap = document.querySelector('#map'); trap.style.outline = 'none';
+          trap.addEventListener('keydown', (e) => e.key === 'Tab' && !e.shiftKey && e.preventDefault()); }"""
+    )
+    assert [role for role, _ in nameless(page)] == ["button"]
+    count, met = walk(page)
+    assert len({here["stop"] for here in met}) < count
+    assert [here["html"][:16] for here in met if not here["ring"]] == ['<select id="map"']
+
+
+@pytest.mark.parametrize("name", ["index.html", "viewer/objects/icon1/index.html"])
+def test_tab_leads_to_everything_in_the_viewer(browser, address, name):
+    page = browser.open(address("file", name))
+    pause(page, 400)
+    check_walk(page)
+    if "objects" in name:
+        page.keyboard.press("k")
+        unfold(page)
+        check_walk(page)

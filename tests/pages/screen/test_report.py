@@ -4,13 +4,11 @@ import base64
 import io
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from PIL import Image
 
-from levkas.pages.figures import draw_trace
 from levkas.pages.maps import Legend, ReportMap
-from levkas.pages.page import Figure, LayerReport, ObjectReport, render_page
+from levkas.pages.page import LayerReport, ObjectReport, render_page
 from levkas.pages.radiometry import RadiometryRow
 from levkas.pages.summary import summarise_layers
 
@@ -73,66 +71,39 @@ MAPS = [map_of(title) for title in ("Error of the registration", "Sigma", "Flags
 # --- in short -------------------------------------------------------------------------------------
 
 
-def test_in_short_says_error_worst_camera_glare_noise_and_what_to_do():
-    marks, told = zip(*summarise_layers([REFERENCE, COLOUR], ROWS, 1.212), strict=True)
-    assert marks == ("ok", "warn", "ok", "next")
-    assert told[0].startswith("rgb is registered to vis: held-out error 0.060 px = 0.073 mm")
-    assert "96 % of the layer" in told[0]
-    assert "at most 2 % of the object (rgb)" in told[1]
-    assert "0.002 (rgb) to 0.008 (vis)" in told[2]
-    assert told[3].startswith("rgb: The scene goes beyond the sensor")
-
-
-def test_in_short_names_the_worst_what_was_left_out_and_what_a_hand_placed():
-    lines = summarise_layers([REFERENCE, COLOUR, XRAY, LOST], [], None, ["uv"])
-    assert lines[0] == (
-        "warn",
-        "Every other camera is registered to vis: held-out error 0.250 px at most, "
-        "checked over at least 80 % of the layer. The worst is xray.",
+def test_in_short_names_the_worst_what_was_left_out_and_what_is_to_be_done():
+    lines = summarise_layers([REFERENCE, COLOUR], ROWS, 1.212)
+    assert [mark for mark, _ in lines] == ["ok", "warn", "ok", "next"]
+    assert "0.060 px = 0.073 mm" in lines[0][1] and "96 %" in lines[0][1]
+    marks, told = zip(
+        *summarise_layers([REFERENCE, COLOUR, XRAY, LOST], [], None, ["uv"]), strict=True
     )
-    assert ("warn", "xray was aligned with 4 pairs by hand.") in lines
-    assert ("refuse", "nir was left out: its registration was refused.") in lines
-    assert ("refuse", "uv was left out: its frames were refused.") in lines
-    assert lines[-1] == ("next", "nir: Run `levkas inspect CAMPAIGN`.")
+    assert "0.250 px" in told[0] and "xray" in told[0]
+    assert marks.count("refuse") == 2 and marks[-1] == "next"
 
 
-def test_of_one_sound_object_nothing_has_to_be_done():
-    lines = summarise_layers([REFERENCE, replace(COLOUR, checked=None)], [], None)
-    assert lines == [
-        ("ok", "rgb is registered to vis: held-out error 0.060 px."),
-        ("next", "No action is needed."),
-    ]
-
-
-def test_of_a_camera_alone_what_was_registered_is_said():
+def test_of_a_sound_object_or_a_camera_alone_nothing_has_to_be_done():
     alone = replace(REFERENCE, error_px=None, apart_px=0.42)
-    assert summarise_layers([alone], [], None) == [
-        ("ok", "vis is the only camera: nothing else is registered to it. Its bands, up to 0.42 px apart at the "
-         "centre, are registered to one another."),
-        ("next", "No action is needed."),
-    ]  # fmt: skip
-    lenses = replace(REFERENCE, error_px=0.07, checked=0.91)
-    assert summarise_layers([lenses], [], 0.5)[0] == (
-        "ok", "The sensors of vis are registered to one another: held-out error 0.070 px = 0.035 mm, checked over 91 % of the layer.",
-    )  # fmt: skip
+    for layers in ([REFERENCE, replace(COLOUR, checked=None)], [alone]):
+        assert [mark for mark, _ in summarise_layers(layers, [], None)] == ["ok", "next"]
+    assert "0.42 px" in summarise_layers([alone], [], None)[0][1]
 
 
 def test_an_object_of_which_all_was_refused_has_no_empty_table(tmp_path):
     text = written(tmp_path, [], []).read_text()
-    assert "evidence" not in text.split("<script>")[0] and "In short" in text
+    assert 'id="evidence"' not in text and 'id="short"' in text
 
 
 # --- in the browser -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1440, 1024, 390])
-def test_short_first_then_pictures_then_evidence_then_details(browser, tmp_path, width, scheme):
+@pytest.mark.parametrize("width", [1440, 390])
+def test_short_first_then_pictures_then_evidence_then_details(browser, tmp_path, width):
     layers = [
         replace(one, maps=MAPS) if one.preview else one for one in (REFERENCE, COLOUR, XRAY, LOST)
     ]
     path = written(tmp_path, layers)
-    page = browser.open(path.as_uri(), width=width, height=900, scheme=scheme)
+    page = browser.open(path.as_uri(), width=width, height=900)
     tops = [
         page.locator(name).first.bounding_box()["y"]
         for name in (
@@ -164,7 +135,6 @@ def test_nothing_flickers_by_itself_and_reduced_motion_stops_all_of_it(browser, 
     for motion, moves in (("no-preference", True), ("reduce", False)):
         page = browser.open(path.as_uri(), reduced_motion=motion)
         state = "document.getElementById('over').style.visibility"
-        assert "Left of the line vis, right of it rgb" in page.locator("#now").inner_text()
         seen = []
         page.locator("[data-mode=flicker]").click()
         for _ in range(12):
@@ -199,34 +169,32 @@ def test_the_curtain_can_be_moved_where_the_picture_is_enlarged_and_the_picture_
         shown = page.locator("#under").bounding_box()
         assert shown["x"] <= box["x"] + 1
         assert shown["x"] + shown["width"] >= box["x"] + box["width"] - 1
-    page.locator("#stage").focus()
-    page.keyboard.press("d")
-    assert "four times amplified" in page.locator("#now").inner_text()
 
 
-def test_the_keys_of_the_report_are_those_of_the_viewer(browser, tmp_path):
+def test_keys_compare_swap_zoom_and_flicker(browser, tmp_path):
     page = browser.open(written(tmp_path, [REFERENCE, COLOUR]).as_uri())
     page.locator("#under").evaluate("image => image.decode()")
     now = page.locator("#now")
+    first = now.inner_text()
     page.keyboard.press("d")
-    assert "Difference of vis and rgb" in now.inner_text()
+    assert now.inner_text() != first
     page.keyboard.press("d")
-    assert "Left of the line vis, right of it rgb" in now.inner_text()
     page.keyboard.press("x")
-    assert "Left of the line rgb, right of it vis" in now.inner_text()
+    assert now.inner_text().index("rgb") < now.inner_text().index("vis")
     page.keyboard.press("+")
     page.keyboard.press("+")
     assert page.locator("#times").inner_text() in ("× 2.3", "× 2.2")
     page.keyboard.press("f")
     assert page.locator("#times").inner_text() == "× 1"
+    before = now.inner_text()
     page.keyboard.down(" ")
-    page.wait_for_function("() => document.querySelector('#now').textContent.startsWith('Now')")
+    page.wait_for_function(
+        "(text) => document.querySelector('#now').textContent !== text", arg=before
+    )
     page.keyboard.up(" ")
-    assert "Left of the line" in now.inner_text()
     assert page.locator("#keys kbd").nth(1).is_hidden()
     page.keyboard.press("?")
     assert page.locator("#keys kbd").nth(1).is_visible()
-    assert "swap A and B" in page.locator("#keys").inner_text()
 
 
 def test_details_open_where_something_is_to_be_checked_and_where_a_link_leads(browser, tmp_path):
@@ -236,38 +204,20 @@ def test_details_open_where_something_is_to_be_checked_and_where_a_link_leads(br
     page.locator("nav.contents a", has_text="rgb").click()
     page.wait_for_function("document.getElementById('layer-rgb').open")
     assert page.locator("#layer-rgb a").first.get_attribute("href") == "o%20rgb.tif"
-    assert "aligned with 4 pairs by hand" in page.locator("#evidence").inner_text()
+    assert page.locator("#short code").first.inner_text() == "levkas inspect CAMPAIGN"
 
 
-def test_tables_are_cards_on_a_phone_and_a_thumb_can_scroll_past_the_picture(browser, tmp_path):
-    page = browser.open(written(tmp_path, [REFERENCE, COLOUR]).as_uri(), width=390, height=844)
+def test_a_report_takes_three_screens_of_a_phone_and_a_thumb_can_scroll_past_the_picture(
+    browser, tmp_path
+):
+    many = [replace(XRAY, name=f"c{n}", reasons=["It is another painting."] * 9) for n in range(3)]
+    path = written(tmp_path, [REFERENCE, COLOUR, *many])
+    page = browser.open(path.as_uri(), width=390, height=844, has_touch=True, is_mobile=True)
+    assert page.evaluate("document.documentElement.scrollHeight") <= 3 * 844
     assert page.locator("#evidence thead").is_hidden()
-    cell = page.locator("#evidence tbody td").nth(2)
-    assert cell.evaluate("c => getComputedStyle(c, '::before').content") == '"Held-out error"'
     assert page.locator("#stage").evaluate("s => getComputedStyle(s).touchAction") == "pan-y"
-
-
-def test_the_papers_figures_are_history_and_folded(browser, tmp_path):
-    from levkas.geometry.transforms import Affine
-    from levkas.registration.outliers import RemovalTerms, clean
-    from levkas.registration.record import Matches
-
-    points = np.random.default_rng(1).uniform(0, 200, (60, 2))
-    found = clean(points, points + 0.1, RemovalTerms(Affine.identity(), 30.0, 1.0), size=(200, 200),
-                  target_size=(200, 200))  # fmt: skip
-    history = draw_trace(Matches.of(points + 0.1, points), found.trace)
-    paper = replace(COLOUR, history=history, figures=[Figure("<svg></svg>", "windows")])
-    page = browser.open(written(tmp_path, [REFERENCE, paper]).as_uri())
-    page.locator("nav.contents a", has_text="rgb").click()
-    assert page.get_by_text("the paper's Figure 9").is_hidden()
-    page.get_by_text("History: how wrong pairs were removed").click()
-    assert page.get_by_text("the paper's Figure 9").is_visible()
-
-
-def test_commands_in_a_sentence_are_code(browser, tmp_path):
-    page = browser.open(written(tmp_path, [REFERENCE, COLOUR, LOST]).as_uri())
-    assert page.locator("#short code").inner_text() == "levkas inspect CAMPAIGN"
-    assert "`" not in page.locator("main").inner_text()
+    page.evaluate("location.hash = 'evidence'")
+    page.wait_for_selector("#evidence table")
 
 
 def test_hostile_names_and_reasons_stay_text(browser, tmp_path):

@@ -10,12 +10,9 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from levkas.colour.relighting import relighting_matrix
-from levkas.colour.srgb import observer_under
 from levkas.core.digests import hash_tree
-from levkas.database.regions import TRUSTED
 from levkas.database.tiff_pages import open_pages
 from levkas.publish.viewer import spectra
-from levkas.publish.viewer.pictures import ILLUMINANTS
 from levkas.publish.viewer.pyramid import OVERLAP_PX, TILE_PX, cut, halve, write_pyramid
 from levkas.publish.viewer.spectra import encode_block, write_spectra
 
@@ -53,22 +50,10 @@ def test_tiles_of_spectra_cover_every_pixel_of_the_file(tmp_path, monkeypatch, m
     root = write_database(tmp_path / "database", {"icon": "An icon"})
     tiff = root / "objects/icon/icon_vis.tif"
     files = {}
-    *_, facts = write_spectra(files.__setitem__, "here", tiff, key="0/spectra")
-    sums = files.pop("here/sums.js").decode("ascii").removesuffix('");\n').split(',"')
-    assert sums[0] == 'levkasTile("0/spectra/sums"' and facts["sums"]
+    facts = write_spectra(files.__setitem__, "here", tiff, key="0/spectra")
     whole = open_pages(tiff).read()
     across, down = facts["columns"], facts["rows"]
     seen = np.zeros(whole.shape[:2], int)
-    table = np.frombuffer(b64decode(sums[1]), "<f8").reshape(-1, whole.shape[2], 4)
-    sound = np.isfinite(whole) & (open_pages(tiff.with_suffix(".flags.tif")).read() & ~TRUSTED == 0)
-    np.testing.assert_array_equal(table[..., 0].sum(0), sound.sum((0, 1)))
-    mean = np.average(table[..., 1], axis=0, weights=table[..., 0])
-    wide = whole.astype(float)
-    np.testing.assert_allclose(mean, wide.mean((0, 1), where=sound), rtol=1e-12)
-    noise = open_pages(tiff.with_suffix(".sigma.tif")).read().astype(float)
-    np.testing.assert_allclose(
-        table[..., 3].sum(0), (noise**2).sum((0, 1), where=sound), rtol=1e-12
-    )
     for name, data in files.items():
         column, row = map(int, name.removeprefix("here/").removesuffix(".js").split("_"))
         head, text = data.decode("ascii").removesuffix('");\n').split(',"')
@@ -81,7 +66,7 @@ def test_tiles_of_spectra_cover_every_pixel_of_the_file(tmp_path, monkeypatch, m
     assert (seen == 1).all()
 
 
-@pytest.mark.parametrize("size", [(1, 1), (TILE_PX, 20), (TILE_PX + 1, 3), (1300, 700)])
+@pytest.mark.parametrize("size", [(1, 1), (TILE_PX + 1, 3), (1300, 700)])
 def test_tiles_of_every_level_join_to_the_picture(size):
     rng = np.random.default_rng(3)
     image = rng.integers(0, 4, size[::-1], np.uint8)
@@ -104,32 +89,9 @@ def test_tiles_of_every_level_join_to_the_picture(size):
     assert max(size) / 2 ** (facts["most"] - facts["least"]) <= TILE_PX
 
 
-@pytest.mark.parametrize("shape", [(60, 70), (60, 70, 3)])
-def test_tiles_of_pictures_lose_nothing(shape):
-    image = np.random.default_rng(5).integers(0, 256, shape, np.uint8)
-    files = {}
-    facts = write_pyramid(files.__setitem__, "p", image, key="p")
-    assert facts["format"] == "webp"
-    (name,) = [one for one in files if one.startswith(f"p/{facts['most']}/")]
-    text = files[name].decode("ascii").removesuffix('");\n').split(',"')[1]
-    tile = np.asarray(Image.open(io.BytesIO(b64decode(text))))
-    np.testing.assert_array_equal(tile, image if image.ndim == 3 else image[..., None].repeat(3, 2))
-
-
 def test_neighbouring_tiles_overlap_by_a_pixel_on_each_side():
     tiles = {(column, row): tile for column, row, tile in cut(np.zeros((20, 1100), np.uint8))}
     assert [tiles[column, 0].shape[1] for column in range(3)] == [TILE_PX + 1, TILE_PX + 2, 81]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("illuminant", ILLUMINANTS)
-def test_the_white_of_a_light_and_its_table_are_those_of_colour_science(illuminant):
-    import colour
-
-    light = colour.SDS_ILLUMINANTS[illuminant]
-    expected = colour.sd_to_XYZ(light, method="Integration") / 100
-    white = observer_under(illuminant)[1].sum(0)
-    np.testing.assert_allclose(white, expected / expected[1], atol=2e-3)
 
 
 def test_relit_colours_are_those_of_colour_science():

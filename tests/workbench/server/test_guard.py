@@ -7,20 +7,17 @@ from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import unquote
 
 import pytest
-from starlette.applications import Starlette
-from starlette.routing import Mount, Route, WebSocketRoute
-from starlette.testclient import TestClient, WebSocketDenialResponse
-from starlette.websockets import WebSocketDisconnect
+from starlette.routing import Route
+from starlette.testclient import TestClient
 
-from levkas.workbench.answer import from_bytes
 from levkas.workbench.library import Library, id_of
 from levkas.workbench.server.app import make_app
-from levkas.workbench.server.guard import LARGEST_IMPORT, OPEN, SAFE, Guard, cookie_of, largest_of
+from levkas.workbench.server.guard import LARGEST_IMPORT, OPEN, SAFE, cookie_of, largest_of
 
 PORT, TOKEN = 4711, "k" * 43
 OWN = f"http://127.0.0.1:{PORT}"
 COOKIE = {"cookie": f"{cookie_of(PORT)}={TOKEN}"}
-PARAMS = {"id": id_of("icon", "xray"), "name": "workbench.js", "which": "target", "kind": "ssim",
+PARAMS = {"id": id_of("icon", "xray"), "name": "workbench.js", "which": "target",
           "level": "0", "column": "0", "row": "0"}  # fmt: skip
 
 
@@ -63,42 +60,23 @@ def test_the_list_of_routes_is_long_enough_to_mean_something(app):
     assert len(paths) >= 14 and {*paths, *others} >= OPEN
 
 
-def test_no_route_is_mounted_in_a_way_that_is_not_enumerated():
-    inner = Starlette(routes=[Mount("/files", app=Starlette())])
-    with pytest.raises(AssertionError):
-        every_route(Guard(inner, port=PORT, token=TOKEN))
+FOREIGN = [
+    *(({"host": host}, 421) for host in ("evil.example", f"127.0.0.1:{PORT + 1}", "", f"127.0.0.1:{PORT}.evil.example")),
+    *(({"origin": origin}, 403) for origin in ("http://evil.example", "null", f"https://127.0.0.1:{PORT}", "")),
+    *(({"sec-fetch-site": site}, 403) for site in ("cross-site", "same-site")),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "host",
-    ["evil.example", f"evil.example:{PORT}", "127.0.0.1", f"127.0.0.1:{PORT + 1}", "", f"[::1]:{PORT}",
-     f"127.0.0.1:{PORT}.evil.example", f"localhost.evil.example:{PORT}", f"0.0.0.0:{PORT}"],
-)  # fmt: skip
-def test_every_route_refuses_a_foreign_host(app, client, host):
+@pytest.mark.parametrize(("headers", "status"), FOREIGN)
+def test_every_route_refuses_what_is_of_another_host_origin_or_site(app, client, headers, status):
     for method, path in every_route(app):
-        answer = send(client, method, path, {**COOKIE, "host": host})
-        assert answer.status_code == 421, (method, path)
+        answer = send(client, method, path, {**COOKIE, **headers})
+        assert answer.status_code == status, (method, path)
 
 
 def test_two_hosts_are_not_one(client):
     headers = [("host", f"127.0.0.1:{PORT}"), ("host", "evil.example"), *COOKIE.items()]
     assert client.get("/api/cameras", headers=headers).status_code == 421
-
-
-@pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", "https://127.0.0.1:4711", "http://127.0.0.1:4712", ""]
-)
-def test_every_route_refuses_a_foreign_origin(app, client, origin):
-    for method, path in every_route(app):
-        answer = send(client, method, path, {**COOKIE, "origin": origin})
-        assert answer.status_code == 403, (method, path)
-
-
-@pytest.mark.parametrize("site", ["cross-site", "same-site", "anything"])
-def test_every_route_refuses_requests_of_other_sites(app, client, site):
-    for method, path in every_route(app):
-        answer = send(client, method, path, {**COOKIE, "sec-fetch-site": site})
-        assert answer.status_code == 403, (method, path)
 
 
 def test_only_the_empty_page_may_be_reached_by_a_link_from_elsewhere(app, client):
@@ -110,9 +88,14 @@ def test_only_the_empty_page_may_be_reached_by_a_link_from_elsewhere(app, client
 
 @pytest.mark.parametrize(
     "cookie",
-    [None, "", f"{cookie_of(PORT)}=", f"{cookie_of(PORT)}={'x' * 43}", f"levkas={TOKEN}",
-     f"{cookie_of(PORT + 1)}={TOKEN}", f"{cookie_of(PORT)}={TOKEN[:-1]}", f"{cookie_of(PORT)}={TOKEN}k"],
-)  # fmt: skip
+    [
+        None,
+        f"{cookie_of(PORT)}=",
+        f"levkas={TOKEN}",
+        f"{cookie_of(PORT + 1)}={TOKEN}",
+        f"{cookie_of(PORT)}={TOKEN}k",
+    ],
+)
 def test_every_route_with_data_refuses_a_missing_or_wrong_token(app, client, cookie):
     headers = {} if cookie is None else {"cookie": cookie}
     refused = set()
@@ -170,71 +153,41 @@ def test_no_body_that_is_too_long_is_taken(app, client, announced):
     assert answer.status_code == 413
 
 
-def nested(depth):
-    return "[" * depth + "]" * depth
-
-
 HOSTILE = [
-    "null", '"\\ud800"', '{"\\udfff": 1}', nested(450), '{"token": NaN}', "9" * 400, '{"known": -Infinity}', "\x00",
-    *(f'{{"{name}": {value}}}'
-      for value in ("null", "true", "[]", "{}", '"\\ud800"', '"\\u0000"', "9" * 100, "-" + "9" * 400, "1e999", "-1e308",
-                    "0.1", '"' + "x" * 300 + '"', '["\\ud800"]', "[[1, 2, 3, 4]]", f"[{'9' * 100}, 1, 1, 1]")
-      for name in ("token", "operation", "pair", "dialect", "file", "known")),
-    *(f'{{"operation": "{name}", "pair": {pair}, "to": {to}, "name": {what}, "value": {to}, "text": {to}, "target": "{band}"}}'
-      for name in ("delete", "move", "snap", "slide", "undo")
-      for pair, to, what, band in (("[1, 2, 3, 4]", "[1, 2]", "7", "999999"), ("[1e308, 2, 3, 4]", "9" * 9, "[]", "1,1"),
-                                   ("[NaN, 2, 3, 4]", '"\\udc00"', '"stop"', "-1"), ("[1, 2, 3, 4]", "1e308", '"reject"', "١"))),
-    *(f'{{"file": {file}, "dialect": {dialect}, "pair": [1, 2, 3, 4], "operation": "add", "to": [1e308, 1, 1, 1]}}'
-      for file in ('"AAAA"', '"é"', '["AAAA"]') for dialect in ('"levkas"', '"nothing"', "[1]", "{}", "1e308")),
+    "null", '"\\ud800"', '{"\\udfff": 1}', "[" * 450 + "]" * 450, '{"token": NaN}', "9" * 400, "\x00",
+    *(f'{{"{name}": {value}}}' for value in ("null", "[]", '"\\u0000"', "-" + "9" * 400, "1e999", "[[1, 2, 3, 4]]")
+      for name in ("token", "operation", "pair", "file")),
+    *(f'{{"operation": "{name}", "pair": {pair}, "to": {to}, "target": "{band}"}}' for name in ("move", "snap", "undo")
+      for pair, to, band in (("[1, 2, 3, 4]", "[1, 2]", "999999"), ("[1e308, 2, 3, 4]", "9" * 9, "1,1"), ("[1]", "1e308", "١"))),
 ]  # fmt: skip
 QUERIES = [
-    "x=1&y=1&from=target&target=7", "x=1&y=1&reference=999999", "x=1&y=1&reference=1,2,9", "x=1e308&y=-1e308&reach=5",
-    "x=1&y=1&reach=1e308", "x=1&y=1&reach=-5", "x=nan&y=inf", "x=%ED%A0%80&y=1", "bands=999999", "bands=1,1", "bands=" + "9" * 900,
-    "map=%00&tint=%ED%A0%80", "x=1&y=1&map=trial&from=%F0", "%ED%A0%80=%FF", "reference=%D9%A1",
+    "x=1&y=1&from=target&target=7", "x=1&y=1&reference=1,2,9", "x=1e308&y=-1e308&reach=5", "x=1&y=1&reach=-5",
+    "x=nan&y=inf", "x=%ED%A0%80&y=1", "bands=" + "9" * 900, "map=%00", "%ED%A0%80=%FF", "reference=%D9%A1",
 ]  # fmt: skip
 
 
 @pytest.mark.slow
 def test_no_route_ends_in_a_fault_of_the_server_whatever_it_is_sent(app, client):
     """Every refusal has one shape; the client raises what a handler does not catch."""
-    requested = 0
     for method, path in every_route(app):
         if path.endswith("/build"):  # they would begin one
             continue
         if method in SAFE:
-            answers = [
-                client.request(method, f"{path}?{query}", headers=COOKIE) for query in QUERIES
-            ]
+            answers = [client.request(method, f"{path}?{q}", headers=COOKIE) for q in QUERIES]
         else:
             answers = [send(client, method, path, COOKIE, body.encode()) for body in HOSTILE]
         for answer in answers:
             assert answer.status_code in (200, 401, 404, 409, 413, 422), (path, answer.text[:200])
             if answer.status_code != 200 and method != "HEAD":
-                record = answer.json()
-                assert record["ok"] is False and record["problems"][0]["code"].startswith("E_"), (
-                    path
-                )
-        requested += len(answers)
-    assert requested > 500
+                assert answer.json()["problems"][0]["code"].startswith("E_"), path
     client.cookies.clear()
 
 
-@pytest.mark.parametrize("number", ["9" * 10, "9" * 100, "9" * 5000, "-1", "1e3", "%D9%A1", "nan"])
+@pytest.mark.parametrize("number", ["9" * 5000, "-1", "1e3", "%D9%A1"])
 def test_numbers_in_an_address_that_are_none_are_answered_404(client, number):
     for place in (f"{number}/0/0", f"0/{number}/0", f"0/0/{number}"):
         answer = client.get(f"/api/cameras/{PARAMS['id']}/tiles/target/{place}", headers=COOKIE)
         assert answer.status_code == 404 and answer.json()["problems"]
-
-
-@pytest.mark.parametrize("query", ["x=100&y=100&target=7", "x=100&y=100&reference=3"])
-def test_a_band_that_is_not_there_is_refused_by_its_number(client, query):
-    answer = client.get(f"/api/cameras/{PARAMS['id']}/partner?{query}", headers=COOKIE)
-    (problem,) = answer.json()["problems"]
-    assert (
-        answer.status_code == 422
-        and problem["found"] in ("7", "3")
-        and "band" in problem["message"]
-    )
 
 
 def test_other_methods_are_refused(app, client):
@@ -256,35 +209,19 @@ def test_every_answer_carries_the_headers_that_keep_other_pages_out(app, client)
             assert answer.headers["cross-origin-opener-policy"] == "same-origin"
 
 
-@pytest.mark.parametrize(
-    "headers",
-    [
-        {**COOKIE, "host": "evil.example", "origin": OWN},
-        {**COOKIE, "origin": "http://evil.example"},
-        {**COOKIE, "sec-fetch-site": "cross-site", "origin": OWN},
-        dict(COOKIE),
-        {"origin": OWN},
-        {"origin": OWN, "cookie": f"{cookie_of(PORT)}=wrong"},
-    ],
-    ids=["host", "origin", "site", "no origin", "no token", "wrong token"],
-)
-def test_websockets_are_refused_alike(headers):
-    async def echo(socket):
-        await socket.accept()
-        await socket.send_text("secret")
-        await socket.close()
+def test_no_websocket_passes(app):
+    sent = []
 
-    inner = Starlette(routes=[WebSocketRoute("/api/live", echo)])
-    client = TestClient(Guard(inner, port=PORT, token=TOKEN), base_url=OWN)
-    own = {"host": f"127.0.0.1:{PORT}"}
-    good = {**COOKIE, **own, "origin": OWN}
-    with client.websocket_connect("/api/live", headers=good) as socket:
-        assert socket.receive_text() == "secret"
-    with (
-        pytest.raises((WebSocketDisconnect, WebSocketDenialResponse)),
-        client.websocket_connect("/api/live", headers={**own, **headers}) as socket,
-    ):
-        socket.receive_text()
+    async def send(message):
+        sent.append(message)
+
+    async def receive():
+        return {"type": "websocket.connect"}
+
+    scope = {"type": "websocket", "path": "/api/cameras", "headers": []}
+    with ThreadPoolExecutor(1) as beside:
+        beside.submit(asyncio.run, app(scope, receive, send)).result()
+    assert [message["type"] for message in sent] == ["websocket.close"]
 
 
 CLIMBS = ["..", "../..", "..%2f..", "%2e%2e/%2e%2e", "....//", "..\\..", "%2e%2e%5c", "/etc/passwd",
@@ -313,21 +250,12 @@ def ask_raw(app, path):
 @pytest.mark.parametrize("climb", CLIMBS)
 def test_no_path_climbs_out(climb, app):
     shapes = [f"/{climb}", f"/assets/{climb}", f"/api/cameras/{climb}", f"/api/cameras/{climb}/pairs",
-              f"/api/cameras/{PARAMS['id']}/tiles/{climb}/0/0/0", f"/api/cameras/{PARAMS['id']}/maps/{climb}",
+              f"/api/cameras/{PARAMS['id']}/tiles/{climb}/0/0/0",
               f"/api/cameras/{PARAMS['id']}/tiles/target/{climb}/0/0"]  # fmt: skip
     for shape in shapes:
         status, content = ask_raw(app, shape)
         assert status == 404, shape
         assert b"root:" not in content and b"[campaign]" not in content
-
-
-def test_a_link_to_elsewhere_in_the_place_of_a_page_is_not_served(client, tmp_path):
-    """Assets come from a table of two names, so that no link in a folder is ever followed."""
-    secret = tmp_path / "secret"
-    secret.write_text("secret")
-    (tmp_path / "workbench.map").symlink_to(secret)
-    for name in ("workbench.map", "secret", str(secret).strip("/")):
-        assert client.get(f"/assets/{name}", headers=COOKIE).status_code == 404
 
 
 def test_a_record_that_leads_elsewhere_is_not_followed(correctable, tmp_path):
@@ -350,8 +278,6 @@ def test_hostile_bodies_change_nothing_and_are_told_why(client, correctable):
         {"operation": "delete", "pair": ["a", 2, 3, 4]},
         {"operation": "delete", "pair": [True, 2, 3, 4]},
         {"operation": "add", "pair": [1e300, 2, 3, 4]},
-        {"operation": "slide", "name": "deleted", "value": 3},
-        {"operation": "slide", "name": "stop", "value": "1e999"},
         {"operation": "move", "pair": [1, 2, 3, 4], "to": [1]},
         {"operation": {}, "pair": {}},
         {"operation": "outline"},
@@ -377,16 +303,29 @@ def test_hostile_bodies_change_nothing_and_are_told_why(client, correctable):
     assert after == before
 
 
-def test_an_edit_over_http_is_an_edit(client, app):
+def test_an_edit_over_http_is_an_edit_and_one_that_contradicts_is_refused(correctable, tmp_path):
     where = f"/api/cameras/{PARAMS['id']}"
-    record = from_bytes(client.get(f"{where}/pairs", headers=COOKIE).content)
-    before = record["summary"]["kept"]
+    folder = correctable.make(tmp_path / "campaign")
+    apps = [make_app(Library(folder), port=PORT, token=TOKEN) for _ in range(2)]
+    one, other = (TestClient(app, base_url=OWN) for app in apps)
+
+    def edit(client, **body):
+        return send(client, "POST", f"{where}/edit", COOKIE, json.dumps(body).encode())
+
+    record = one.get(f"{where}/pairs", headers=COOKIE).json()
+    other.get(f"{where}/pairs", headers=COOKIE)
     pair = record["pairs"][5]
-    body = json.dumps({"operation": "delete", "pair": pair.tolist()}).encode()
-    after = from_bytes(send(client, "POST", f"{where}/edit", COOKIE, body).content)
-    assert after["summary"]["kept"] == before - 1
-    assert after["can"]["undo"] == record["can"]["undo"] + 1
-    body = b'{"operation": "undo"}'
-    undone = from_bytes(send(client, "POST", f"{where}/edit", COOKIE, body).content)
-    assert undone["summary"]["kept"] == before
-    assert undone["corrections"] == record["corrections"]
+    after = edit(one, operation="delete", pair=pair).json()
+    assert after["summary"]["kept"] == record["summary"]["kept"] - 1
+    assert after["can"]["undo"] == 1
+    there = (folder / "edits.toml").read_bytes()
+    refused = edit(other, operation="pin", pair=pair)
+    assert refused.status_code == 409 and refused.json()["problems"][0]["code"] == "E_CONFLICT"
+    assert (folder / "edits.toml").read_bytes() == there
+    shown = other.get(f"{where}/pairs", headers=COOKIE).json()
+    assert shown["corrections"] == after["corrections"]
+    assert edit(other, operation="restore", pair=pair).status_code == 200
+    one.get(f"{where}/pairs", headers=COOKIE)
+    (folder / "edits.toml").write_text("version = 1\n[objects\n")
+    spoilt = edit(one, operation="pin", pair=pair)
+    assert spoilt.status_code == 422 and (folder / "edits.toml").read_text().endswith("[objects\n")

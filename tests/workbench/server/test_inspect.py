@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -81,40 +82,21 @@ def _other_address():
             return "127.0.0.2"
 
 
-def test_a_port_that_is_taken_is_refused_with_what_to_do(campaign):
+@pytest.mark.parametrize("spoilt", ["port", "edits", "database"])
+def test_what_cannot_be_served_is_refused_before_it_listens(campaign, tmp_path, spoilt):
+    folder = shutil.copytree(campaign, tmp_path / "campaign")
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+        more = ["--port", str(taken.getsockname()[1])] if spoilt == "port" else []
+        if spoilt == "edits":
+            (folder / "edits.toml").write_text("version = 2\n")
+        elif spoilt == "database":
+            folder = folder / "database"
+            (folder / "catalogue.csv").touch()
         done = subprocess.run(
-            [*COMMAND, str(campaign), "--no-open", "--port", str(port)],
-            capture_output=True, text=True, timeout=600,
-        )  # fmt: skip
-    assert done.returncode == 1 and "E_PORT" in done.stderr and "--port" in done.stderr
-
-
-def test_corrections_that_cannot_be_read_are_refused_before_it_listens(campaign, tmp_path):
-    import shutil
-
-    folder = tmp_path / "campaign"
-    shutil.copytree(campaign, folder)
-    (folder / "edits.toml").write_text("version = 2\n")
-    done = subprocess.run(
-        [*COMMAND, str(folder), "--no-open"], capture_output=True, text=True, timeout=600
-    )
-    assert done.returncode == 1 and "edits.toml" in done.stderr and done.stdout == ""
-
-
-def test_a_database_is_told_from_a_campaign(campaign):
-    folder = campaign / "database"
-    (folder / "catalogue.csv").touch()
-    run = subprocess.run(
-        [*COMMAND, str(folder), "--no-open"], capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 1
-    assert (
-        "this is a database" in run.stderr + run.stdout
-        and "levkas publish" in run.stderr + run.stdout
-    )
-    (folder / "catalogue.csv").unlink()
+            [*COMMAND, str(folder), "--no-open", *more], capture_output=True, text=True, timeout=600
+        )
+    code = {"port": "E_PORT", "edits": "edits.toml", "database": "E_UNREADABLE"}[spoilt]
+    assert done.returncode == 1 and code in done.stderr and done.stdout == ""
 
 
 BROWSER = """

@@ -14,15 +14,15 @@ from levkas.campaign.schema.toml import read_toml
 from levkas.core.cube import Band
 from levkas.core.flags import describe_marks
 from levkas.core.problems import Refused
-from levkas.core.text import counted, parse_bounded
+from levkas.core.text import counted
 from levkas.database.catalogue import ESTIMATED, MEASURED, SPLICED
-from levkas.database.described import channel_shapes
+from levkas.database.described import channel_shapes, describe_pages
 from levkas.database.layers import MADE
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
 from levkas.database.region_uncertainty import OTHER_BUDGET, position_sigmas, read_budget
 from levkas.database.registrations import describe_pairs, read_registration, unchecked_share
-from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
+from levkas.database.spectral_tiff import WAVELENGTHS
 from levkas.database.tiff_pages import open_pages
 from levkas.pages.page import describe_decision
 from levkas.publish.viewer.pages import address, worst
@@ -32,6 +32,7 @@ from levkas.publish.viewer.spectra import write_lattices, write_spectra
 from levkas.registration.record import DECISIONS, decided
 
 if TYPE_CHECKING:
+    from levkas.database.tiff_pages import TiffPages
     from levkas.publish.viewer.pyramid import Write
 
 THUMBNAIL_PX = {"card": 400, "layer": 96}
@@ -220,7 +221,9 @@ def _write_layer(
     record: dict[str, Any],
 ) -> dict[str, Any]:
     tiff = item.tiff(*layer)
-    attrs, bands, centroids = _describe(tiff)
+    pages = open_pages(tiff)
+    described, centroids = describe_pages(pages), _centroids(pages)
+    attrs, bands = described.facts, described.bands
     shapes = channel_shapes(item.database, layer[0], [band.label for band in bands])
     if not np.isfinite(centroids).any():
         centroids = [centroid for centroid, _ in shapes]
@@ -249,7 +252,7 @@ def _write_layer(
             }
         )
     key = f"{number}/spectra"
-    *_, spectra = write_spectra(write, f"{home}/layers/{number}/spectra", tiff, key=key)
+    spectra = write_spectra(write, f"{home}/layers/{number}/spectra", tiff, key=key)
     script = f"layers/{number}/native.js"
     lattice = write_lattices(
         *(write, f"{home}/{script}", item.database, item.name, Frame(*layer)),
@@ -284,7 +287,7 @@ def _budget_of(
 ) -> dict[str, Any]:
     """Return what a page needs for the uncertainty of a layer's values; {} where its errors are not recorded.
 
-    ``rows`` have unit, size of each band, whether one draw holds for all bands (``shared``) and for one line of a scan alone (``line``),
+    ``rows`` have unit, size of each band, whether one draw holds for one line of a scan alone (``line``),
     and at which value of each band the error is nil (``zero``), where it is at one; parts of sigma, whether each pixel has its own
     (``pixel``). ``unknown`` names what is in no row, ``place`` has how well places are known.
     """
@@ -299,7 +302,7 @@ def _budget_of(
         of_pixel = source.common_to == "pixel"
         if (of_pixel and source.unit != "sigma") or source.unit == "px" or not source.size:
             continue
-        row = {"unit": source.unit, "shared": source.all_bands, "line": source.common_to == "line"}
+        row = {"unit": source.unit, "line": source.common_to == "line"}
         row |= {"pixel": True} if of_pixel else {}
         size, zero = (
             [float(f"{known.get(label, 0.0):.4g}") for label in labels]
@@ -365,34 +368,13 @@ def _say_made_of(attrs: dict[str, Any]) -> dict[str, Any]:
     return {"decision": "warn", "verdict": "estimated", "reasons": [why]}
 
 
-def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]]:
-    """Return metadata, bands, and centroids of broad channels of a TIFF."""
-    pages = open_pages(tiff)
-    text = next((t for t in pages.tags(METADATA) if t), "")
-    try:
-        attrs = dict(parse_bounded(decode_text(str(text))))
-    except (ValueError, TypeError):
-        attrs = {}
+def _centroids(pages: TiffPages) -> list[float]:
+    """Return the centroids that the tag of wavelengths holds, nm; NaN where it numbers the bands."""
+    centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), [])
+    known = np.atleast_1d(np.asarray(centres, float)).tolist()
     count = len(pages)
-    centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), None)
-    centres = np.atleast_1d(np.asarray(centres if centres is not None else [], float)).tolist()
-    labels, known, widths = (
-        values if isinstance(values := attrs.get(key), list) and len(values) == count else None
-        for key in ("bands", "wavelength", "fwhm")
-    )
-    numbered = centres == list(range(count)) or len(centres) != count
-    known = known or ([None] * count if numbered else centres)
-    labels = labels or [f"{v:g} nm" if v is not None else str(i) for i, v in enumerate(known)]
-    bad = attrs.get("bad_bands") or ()
-    bands = tuple(
-        Band(str(label), _number(w), _number(f), label in bad)
-        for label, w, f in zip(labels, known, widths or [None] * count, strict=True)
-    )
-    return attrs, bands, [math.nan] * count if numbered else centres
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
+    numbered = len(known) != count or known == list(range(count))
+    return [math.nan] * count if numbered else known
 
 
 def _reference_band(record: dict[str, Any], bands: tuple[Band, ...]) -> int:

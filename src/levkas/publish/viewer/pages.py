@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -33,14 +33,11 @@ def render_sheet(
     about: About, objects: Sequence[dict[str, Any]], more: Sequence[dict[str, str]] = ()
 ) -> str:
     """Return the contact sheet's HTML; `objects` are as `card_of` has them, `more` links with label and href."""
-    from markupsafe import Markup
-
     cameras = sorted({camera for card in objects for camera in card["cameras"]})
     there = {card["decision"] for card in objects}
     verdicts = {key: DECISIONS[key] for key in reversed(ORDER) if key in there}
     facts = {"about": about, "objects": objects, "cameras": cameras, "verdicts": verdicts}
-    record = Markup(embed_json(about.record)) if about.record else ""
-    return _render("sheet.html", **facts, more=more, record=record)
+    return _render("sheet.html", **facts, more=more)
 
 
 def render_object(about: About, record: dict[str, Any]) -> str:
@@ -119,12 +116,6 @@ class About:
     version: str = ""
     doi: str = ""
     """Its address, https://doi.org/…"""
-    record: dict[str, Any] = field(default_factory=dict)
-    """The whole as JSON-LD, in the head of the contact sheet."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what a page needs."""
-        return asdict(self)
 
 
 def about_of(facts: PublicationFacts) -> About:

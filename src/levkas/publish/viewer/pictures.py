@@ -33,9 +33,7 @@ if TYPE_CHECKING:
 MOST_BANDS = 64
 """Single bands shown of one layer; of more, so many at even distances."""
 
-
 WHITE_PERCENTILE = 99.5
-
 
 INFRARED_NM, RED_NM, GREEN_NM = (780, 1000, 900), (600, 700, 650), (500, 590, 550)
 """Least, most and wanted wavelength of false-colour infrared's three channels."""

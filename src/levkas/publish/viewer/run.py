@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from importlib.resources import files as resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.pages.screen import ScreenMissing, read_built
-from levkas.publish.landing import describe_landing
 from levkas.publish.viewer.objects import (
     UP,
     card_of,
@@ -45,7 +43,7 @@ def write_part(publication: Publication) -> Iterator[str]:
     def write(name: str, data: bytes) -> None:
         publication.write_bytes(name, data)
 
-    about = replace(about_of(publication.facts), record=describe_landing(publication))
+    about = about_of(publication.facts)
     beside = _beside(publication)
     yield from write_viewer(publication.folder, write, about, beside=beside)
     _link_reports(publication)
@@ -67,8 +65,7 @@ def _beside(publication: Publication) -> list[tuple[str, str]]:
     return [
         *found,
         ("Read me: what is in the folder", "README.html"),
-        ("How every file came about", "ro-crate-preview.html"),
-        ("RO-Crate", "ro-crate-metadata.json"),
+        ("RO-Crate: how every file came about", "ro-crate-metadata.json"),
         ("DataCite metadata", "datacite.json"),
         ("Catalogue", "catalogue.csv"),
         ("Hashes", "manifest-sha256.txt"),
@@ -114,10 +111,6 @@ def write_viewer(
             layers.append(layer)
         links = {**_neighbours(items, place), "more": _links(beside, item)}
         record = object_record(item, layers, links)
-        # Browsers keep pins by this name, whatever else changes from version to version.
-        record["database"] = ", ".join(filter(None, (about.title, about.creator)))
-        licence = f"Licence: {about.licence}" if about.licence else ""
-        record["credits"] = [text for text in (about.citation, licence) if text]
         page = render_object(about, record)
         write(f"viewer/objects/{item.name}/index.html", page.encode("utf-8"))
         cards.append(card_of(item, layers, write_thumbnail(write, item)))

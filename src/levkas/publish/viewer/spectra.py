@@ -13,14 +13,12 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.database.pixel_frames import Frame, FramePixels, MappingRefused, Records
-from levkas.database.regions import TRUSTED
 from levkas.database.tiff_pages import open_pages
 
 if TYPE_CHECKING:
@@ -29,27 +27,22 @@ if TYPE_CHECKING:
 
 EDGE_PX = 64
 
-
 LARGE_PX = 4_000_000
 """From here on tiles are twice as long, so that there are not too many files."""
-
 
 BYTES_A_VALUE = 9
 """Value, sigma and flags."""
 
-
 MOST_TILE_BYTES, MOST_ROW_BYTES = 5_000_000, 256_000_000
 """Of one tile, and of a row of tiles in memory; cubes of very many bands get lower tiles."""
 
-
 LOWEST_PX = 8
-
 
 ZLIB_LEVEL = 6
 
 
-def write_spectra(write: Write, folder: str, tiff: Path, *, key: str) -> Iterator[dict[str, Any]]:
-    """Write the spectra of one layer, yielding nothing but, at the end, what a page needs.
+def write_spectra(write: Write, folder: str, tiff: Path, *, key: str) -> dict[str, Any]:
+    """Write the spectra of one layer, and return what a page needs.
 
     Parameters
     ----------
@@ -61,18 +54,16 @@ def write_spectra(write: Write, folder: str, tiff: Path, *, key: str) -> Iterato
     key : str
         Under which a tile announces itself, with its column and row.
 
-    Yields
-    ------
+    Returns
+    -------
     record : dict
-        columns and rows of a tile (px), width, height, bands, sigma and flags (whether they are there);
-        sums is true: ``sums.js`` holds what `sum_block` gives of every tile and band, row by row.
+        columns and rows of a tile (px), width, height, bands, sigma and flags (whether they are there).
     """
     values = open_pages(tiff)
     beside = [tiff.with_name(tiff.stem + kind) for kind in (".sigma.tif", ".flags.tif")]
     sigma, flags = (open_pages(path) if path.is_file() else None for path in beside)
     height, width, bands = values.shape
     across, down = tile_shape(width, height, bands)
-    sums: list[np.ndarray] = []
     for row in range(-(-height // down)):
         rows = (row * down, min(height, (row + 1) * down))
         whole = values.read(*rows)
@@ -81,18 +72,12 @@ def write_spectra(write: Write, folder: str, tiff: Path, *, key: str) -> Iterato
             span = slice(column * across, (column + 1) * across)
             parts = (whole, spread, marks)
             payload = b"".join(encode_block(p[:, span]) for p in parts if p is not None)
-            here = (None if part is None else part[:, span] for part in (marks, spread))
-            sums.append(sum_block(whole[:, span], *here))
             text = base64.b64encode(zlib.compress(payload, ZLIB_LEVEL)).decode("ascii")
             call = f'levkasTile({json.dumps(f"{key}/{column}_{row}")},"{text}");\n'
             write(f"{folder}/{column}_{row}.js", call.encode("ascii"))
-    text = _encode(np.array(sums), "<f8")
-    write(
-        f"{folder}/sums.js", f'levkasTile({json.dumps(f"{key}/sums")},"{text}");\n'.encode("ascii")
-    )
-    yield {
+    return {
         **{"columns": across, "rows": down, "width": width, "height": height, "bands": bands},
-        **{"sigma": sigma is not None, "flags": flags is not None, "sums": True},
+        **{"sigma": sigma is not None, "flags": flags is not None},
     }
 
 
@@ -109,38 +94,6 @@ def tile_shape(width: int, height: int, bands: int) -> tuple[int, int]:
     ):
         down //= 2
     return across, down
-
-
-def sum_block(
-    values: np.ndarray, flags: np.ndarray | None, sigma: np.ndarray | None = None
-) -> np.ndarray:
-    """Return how many values of each band are sound, their mean, and sums of squares: of differences from it, and of sigma.
-
-    Parameters
-    ----------
-    values : ndarray, (rows, columns, bands), float32
-    flags : ndarray, (rows, columns, bands), uint8, or None
-    sigma : ndarray, (rows, columns, bands), float32, or None
-        Of noise: 0 where there is none.
-
-    Returns
-    -------
-    sums : ndarray, (bands, 4), float64
-
-    Examples
-    --------
-    >>> sum_block(np.array([[[1.0], [3.0], [np.nan]]], np.float32), None, np.full((1, 3, 1), 0.5)).tolist()
-    [[2.0, 2.0, 2.0, 0.5]]
-    """
-    sound = np.isfinite(values)
-    if flags is not None:
-        sound &= (flags & ~TRUSTED) == 0
-    wide = np.where(sound, values, 0).astype(np.float64)
-    count = sound.sum((0, 1))
-    mean = wide.sum((0, 1)) / np.maximum(count, 1)
-    squares = np.where(sound, wide - mean, 0.0) ** 2
-    noise = np.where(sound, 0 if sigma is None else sigma, 0.0).astype(np.float64) ** 2
-    return np.stack([count, mean, squares.sum((0, 1)), noise.sum((0, 1))], -1)
 
 
 def encode_block(block: np.ndarray) -> bytes:
@@ -164,9 +117,7 @@ def encode_block(block: np.ndarray) -> bytes:
 
 STEPS_PX = (64, 32, 16, 8, 4)
 
-
 WANTED_PX = 0.01
-
 
 PROBES = (0.25, 0.5)
 """Where between nodes the difference is taken: midway alone, a cubic's own would be nought."""
@@ -250,5 +201,5 @@ def _largest(apart: np.ndarray) -> float:
     return float(np.max(norms, initial=0.0, where=np.isfinite(norms)))
 
 
-def _encode(table: np.ndarray, kind: str = "<f4") -> str:
-    return base64.b64encode(np.ascontiguousarray(table, kind).tobytes()).decode("ascii")
+def _encode(table: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(table, "<f4").tobytes()).decode("ascii")

@@ -79,14 +79,11 @@ class Guard:
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
-        refusal = self.judge(scope)
         if scope["type"] == "websocket":
-            if refusal is None:
-                await self.app(scope, receive, send)
-            else:
-                await receive()
-                await send({"type": "websocket.close", "code": 1008, "reason": refusal.reason})
+            await receive()
+            await send({"type": "websocket.close", "code": 1008})
             return
+        refusal = self.judge(scope)
         body = await _body_of(receive, largest_of(scope["path"])) if refusal is None else b""
         if body is None:
             refusal = _too_long(scope["path"])
@@ -98,30 +95,28 @@ class Guard:
     def judge(self, scope: Scope) -> Refusal | None:
         """Return why a request is refused, None where it may pass."""
         headers = _headers(scope)
-        socket = scope["type"] == "websocket"
         if headers.get("host", [""]) not in ([host] for host in self.hosts):
             return Refusal(421, "this server answers to its own name only")
-        if refusal := self._origin(headers, socket, scope):
+        if refusal := self._origin(headers, scope):
             return refusal
         if scope["path"] not in OPEN and not self._knows(headers):
             return Refusal(401, "the token is missing or wrong; open the address of the terminal")
-        if not socket and scope["method"] not in SAFE:
+        if scope["method"] not in SAFE:
             kind = headers.get("content-type", [""])[-1].partition(";")[0].strip().lower()
             if kind != "application/json":
                 return Refusal(415, "requests are JSON")
         lengths = headers.get("content-length", [])
-        if not socket and any(_is_above(text, largest_of(scope["path"])) for text in lengths):
+        if any(_is_above(text, largest_of(scope["path"])) for text in lengths):
             return _too_long(scope["path"])
         return None
 
-    def _origin(self, headers: dict[str, list[str]], socket: bool, scope: Scope) -> Refusal | None:
+    def _origin(self, headers: dict[str, list[str]], scope: Scope) -> Refusal | None:
         origins, sites = headers.get("origin", []), headers.get("sec-fetch-site", [])
         foreign = any(origin not in self.origins for origin in origins)
         # A link may lead to the page, which holds no data; nothing else is for other sites.
         followed = scope["path"] == "/" and headers.get("sec-fetch-mode") == ["navigate"]
         foreign |= not followed and any(site not in ("same-origin", "none") for site in sites)
-        unsafe = socket or scope["method"] not in SAFE
-        if foreign or (unsafe and not origins and not sites):
+        if foreign or (scope["method"] not in SAFE and not origins and not sites):
             return Refusal(403, "another site, or none, sends this request")
         return None
 

@@ -18,7 +18,6 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from levkas.campaign.edits import EditsConflict
-from levkas.campaign.methods import owners_of
 from levkas.campaign.schema.values import MOST_CORNERS
 from levkas.core.locks import Taken
 from levkas.core.problems import Problem, Refused
@@ -27,11 +26,9 @@ from levkas.pages.page import describe_decision
 from levkas.pages.screen import read_built
 from levkas.registration.advice import in_workbench
 from levkas.registration.record import decided
-from levkas.workbench.answer import describe, to_bytes
+from levkas.workbench.answer import describe
 from levkas.workbench.frame import SIDES, RegistrationView, SensorView
-from levkas.workbench.history import QUARTERS
 from levkas.workbench.library import FrameMissing, Library
-from levkas.workbench.pictures import KINDS, MapMissing, find_kinds
 from levkas.workbench.session import OperationRefused, refused
 
 if TYPE_CHECKING:
@@ -112,26 +109,21 @@ class Rebuild:
 
 STATUS: dict[type[Refused], int] = {
     FrameMissing: 404,
-    MapMissing: 404,
     Busy: 409,
     EditsConflict: 409,
     Taken: 409,
 }
 
-
 ASSETS = {"workbench.js": "text/javascript", "workbench.css": "text/css"}
-
 
 MOST_BANDS = 3
 
-
+QUARTERS = (0, 90, 180, 270)
 LONGEST_NUMBER = 9
 """Digits of a whole number in an address or a request."""
 
-
 FARTHEST_PX = 1000.0
 """How far from where a map puts it a partner is looked for at most."""
-
 
 Answer = Callable[[Request, dict[str, Any]], Response]
 
@@ -267,7 +259,7 @@ class Handlers:
         frame, degrees = self._frame(request), body.get("degrees")
         if degrees not in QUARTERS or isinstance(degrees, bool):
             raise refused("pictures are turned by quarters", str(degrees)[:40], "0, 90, 180 or 270")
-        self.library.history.set_turn(frame.capture.object, int(degrees))
+        self.library.turns[frame.capture.object] = int(degrees)
         return JSONResponse({"ok": True, "turn": degrees})
 
     def pairs(self, request: Request, body: dict[str, Any]) -> Response:
@@ -280,13 +272,7 @@ class Handlers:
         frame = self._frame(request)
         with frame.lock:
             change(frame, body)
-            return _answer(describe(frame.session, str(body.get("known", ""))))
-
-    def attempt(self, request: Request, body: dict[str, Any]) -> Response:
-        frame = self._frame(request)
-        to = _pair(body["to"]) if body.get("to") is not None else None
-        with frame.lock:
-            return JSONResponse({"ok": True, **frame.attempt(_pair(body.get("pair")), to)})
+            return _answer(describe(frame.session))
 
     def partner(self, request: Request, body: dict[str, Any]) -> Response:
         with (frame := self._frame(request)).lock:
@@ -296,24 +282,13 @@ class Handlers:
         which = request.path_params["which"]
         level, column, row = (_digits(request.path_params[k]) for k in ("level", "column", "row"))
         query = request.query_params
-        more = {"map_": query.get("map", ""), "tint": query.get("tint", "")}
         bands = _bands(query.get("bands", ""))
         try:
-            data, kind = self._frame(request).tile(which, (level, column, row), bands=bands, **more)
+            place, map_ = (level, column, row), query.get("map", "")
+            data, kind = self._frame(request).tile(which, place, bands=bands, map_=map_)
         except IndexError:
             raise FrameMissing(Problem("E_NO_TILE", "there is no such tile")) from None
         return Response(data, media_type=kind, headers={"cache-control": "private, max-age=900"})
-
-    def map_(self, request: Request, body: dict[str, Any]) -> Response:
-        kind = request.path_params["kind"]
-        if kind not in KINDS:
-            raise FrameMissing(
-                Problem("E_NO_MAP", "there is no such map", expected=", ".join(KINDS))
-            )
-        frame = self._frame(request)
-        with frame.lock:
-            drawn = frame.map(kind, request.query_params.get("map", ""))
-        return JSONResponse({"ok": True, "kind": kind, "meaning": KINDS[kind], **drawn})
 
     def export(self, request: Request, body: dict[str, Any]) -> Response:
         frame = self._frame(request)
@@ -351,10 +326,8 @@ def routes(
         (f"{one}/edit", handlers.edit, "POST"),
         (f"{one}/turn", handlers.turn, "POST"),
         (f"{one}/confirm", handlers.confirm, "POST"),
-        (f"{one}/attempt", handlers.attempt, "POST"),
         (f"{one}/partner", handlers.partner, "GET"),
         (one + "/tiles/{which}/{level}/{column}/{row}", handlers.tile, "GET"),
-        (one + "/maps/{kind}", handlers.map_, "GET"),
         (f"{one}/export", handlers.export, "POST"),
         (f"{one}/import", handlers.import_, "POST"),
         (f"{one}/build", handlers.start_build, "POST"),
@@ -364,7 +337,7 @@ def routes(
 
 
 def _answer(answer: dict[str, Any]) -> Response:
-    return Response(to_bytes({"ok": True, **answer}), media_type="application/octet-stream")
+    return JSONResponse({"ok": True, **answer})
 
 
 def change(frame: RegistrationView, body: dict[str, Any]) -> None:
@@ -377,9 +350,6 @@ def change(frame: RegistrationView, body: dict[str, Any]) -> None:
     session, name = frame.session, str(body.get("operation", ""))
     if name in ("undo", "redo", "take_all_back"):
         getattr(session, name)()
-    elif name == "slide":
-        value = body.get("value")
-        session.slide(str(body.get("name")), None if value is None else _number(value))
     elif name == "outline":
         session.draw(_corners(body.get("corners")))
     elif name == "accept":
@@ -424,8 +394,6 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
         "px_per_mm": frame.px_per_mm,
         "built": frame.built is not None,
         "builds": frame.builds,
-        "maps": find_kinds(frame.record, frame.band),
-        "removes": frame.record.get("method") in owners_of("reject"),
         "verdict": judged,
         "scores": [s.get("scores", {}) for s in sensors[:1]],
         "chosen": [s.get("base", "") for s in sensors[:1]],

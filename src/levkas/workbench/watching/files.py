@@ -7,8 +7,7 @@ import time
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
-from itertools import pairwise, takewhile
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from levkas.campaign.discovery.file_index import (
     scan_folders,
     walk_folders,
 )
-from levkas.campaign.discovery.patterns import natural
 from levkas.campaign.guess import LookRefused, look
 from levkas.campaign.schema.tables import Document
 from levkas.core.digests import Stamp, stamp_of
@@ -37,12 +35,9 @@ RESCAN_S = 5.0
 """After which folders are listed again though none changed: some shares do not tell."""
 GUESS_S, GUESS_SHARE = 2.0, 4.0
 """How long names must rest before a folder is guessed again; and times what the guess took."""
-BACK_S = 60.0
-"""By how much a shot has an earlier time than the one before it where a clock was set: less is how headers are rounded."""
 PAUSE_S = 1.0
 """Between files whose own times order them."""
 FILE = "campaign.toml"
-UNMOUNTED = " cannot be reached, is its share mounted? Its frames are shown as they were."
 
 
 @dataclass(frozen=True)
@@ -233,7 +228,6 @@ class FolderWatch:
         self._signature: object = None
         self._scanned = -RESCAN_S
         self._rest: dict[Path, tuple[Stamp, float]] = {}
-        self._places: dict[Path, tuple[int, int]] = {}
         self._guess: tuple[object, float, float] = (None, 0.0, 0.0)
         self._campaign_stamp: Stamp | None = None
         self._invalid: tuple[str, ...] = ()
@@ -248,8 +242,7 @@ class FolderWatch:
             s of a clock that never jumps.
         """
         now = time.monotonic() if now is None else now
-        before = self.listing
-        if self._is_away(before):
+        if not _is_reachable(self.root):
             self.away_since = self.away_since or time.time()
             return self.listing
         if self.away_since is not None:
@@ -258,41 +251,16 @@ class FolderWatch:
         if now - self._scanned >= RESCAN_S or self._signature != self._folders():
             self._scan(now)
         stamps = {path: stamp for path in self.listing.files if (stamp := stamps_of(path))}
-        if stamps.keys() < before.files.keys() and self._is_away(before):  # it went meanwhile
-            self.listing, self.away_since = before, time.time()
-            return before
         files = {path: file for path, file in self.listing.files.items() if path in stamps}
-        lost, unmounted = self._unmounted(before, stamps)
-        problems = tuple(p for p in self.listing.problems if not p.endswith(UNMOUNTED)) + unmounted
-        self.listing = FolderListing(
-            self.listing.campaign, self.listing.guessed, files | lost,
-            stamps | {path: before.stamps[path] for path in lost}, self.listing.strays, problems,
-        )  # fmt: skip
+        self.listing = replace(self.listing, files=files, stamps=stamps)
         self._note_rest(stamps, now)
         return self.listing
-
-    def _unmounted(
-        self, before: FolderListing, stamps: Mapping[Path, Stamp]
-    ) -> tuple[dict[Path, WatchedFile], tuple[str, ...]]:
-        """Return the frames that are gone because another, empty folder stands where theirs was, and a line a folder."""
-        lost: dict[Path, WatchedFile] = {}
-        folders = set()
-        for path in before.stamps.keys() - stamps.keys():
-            for folder in takewhile(lambda one: one != self.root, path.parents):
-                if folder in self._places and _is_replaced(folder, self._places[folder]):
-                    lost[path] = before.files[path]
-                    folders.add(folder)
-        shown = sorted(_shown(folder, self.root) for folder in folders)
-        return lost, tuple(f"{name}{UNMOUNTED}" for name in shown)
 
     @property
     def is_in_vain(self) -> bool:
         """Whether no campaign could be guessed from what is there now, or nothing there can be listed."""
         tried = self._guess[1] < 0 or self.away_since is not None
         return self.listing.campaign is None and tried
-
-    def _is_away(self, known: FolderListing) -> bool:
-        return not _is_reachable(self.root) or bool(known.files and _is_bare(self.root))
 
     def is_at_rest(self, path: Path, now: float) -> bool:
         """Whether a file has not changed for half a second, as seen here: no clock but this one counts."""
@@ -362,13 +330,6 @@ class FolderWatch:
         strays = () if self.listing.guessed else tuple(_strays(campaign, index, files))
         self._signature = self._folders()
         self.listing = FolderListing(campaign, self.listing.guessed, files, {}, strays, problems)
-        for folder in {
-            above
-            for parent in {path.parent for path in files}
-            for above in (parent, *parent.parents)
-        }:
-            with suppress(OSError):
-                self._places[folder] = place_of(folder)
 
     def _guess_again(self, now: float) -> None:
         """Guess the campaign from names, headers and pixels, when names have come to rest and it is worth its time."""
@@ -417,28 +378,6 @@ def _is_reachable(folder: Path) -> bool:
         return False
 
 
-def place_of(folder: Path) -> tuple[int, int]:
-    """Return device and inode of a folder: another one where a share is mounted over it, or no longer is."""
-    found = folder.stat()
-    return found.st_dev, found.st_ino
-
-
-def _is_replaced(folder: Path, place: tuple[int, int]) -> bool:
-    """Whether a folder cannot be listed, or another and empty one stands in its place."""
-    try:
-        return place_of(folder) != place and _is_bare(folder)
-    except FileNotFoundError:
-        return False
-    except OSError:
-        return True
-
-
-def _is_bare(folder: Path) -> bool:
-    """Whether a folder is empty: where there were frames, a share that is not mounted."""
-    with os.scandir(folder) as entries:
-        return next(entries, None) is None
-
-
 def _strays(campaign: Campaign, index: FileIndex, files: Mapping[Path, WatchedFile]) -> list[str]:
     """Return pictures below the campaign that no pattern fits."""
     found = []
@@ -465,28 +404,18 @@ def moments_of(
     files: Mapping[Path, WatchedFile],
     captured: Mapping[Path, float | None],
     stamps: Mapping[Path, Stamp],
-) -> tuple[dict[Path, float], str]:
-    """Return when the frames of one sensor were captured, s, and what is doubtful of it, else "".
+) -> dict[Path, float]:
+    """Return when the frames of one sensor were captured, s: by their headers where all state it, by their names, else by the files.
 
-    By their headers where all state it, by their names, else by the files: also where shots show that a clock went back.
     Files that were written without a pause of a second have the time of the first, so that their names order them: a copied
     folder has the times of copying.
     """
-    written = {path: stamps[path][1] / 1e9 for path in files if path in stamps}
     stated = {path: moment for path in files if (moment := captured.get(path)) is not None}
     if not files or len(stated) < len(files):
         stated = times_in_names(files)
-    if not files or len(stated) < len(files):
-        return _by_pauses(written), ""
-    if (back := _went_back(files, stated, written)) is None:
-        return stated, ""
-    earlier, later = (files[path].name for path in back)
-    doubt = (
-        f"{later} has an earlier time than {earlier}, though it was written after it: was the camera's clock set? "
-        f"Frames of {files[back[0]].camera} are ordered by the times of their files. A build chooses darks and whites by "
-        "their own times: check which it takes."
-    )
-    return _by_pauses(written), doubt
+    if files and len(stated) == len(files):
+        return stated
+    return _by_pauses({path: stamps[path][1] / 1e9 for path in files if path in stamps})
 
 
 def _by_pauses(written: Mapping[Path, float]) -> dict[Path, float]:
@@ -496,23 +425,3 @@ def _by_pauses(written: Mapping[Path, float]) -> dict[Path, float]:
         start, last = (at if at - last >= PAUSE_S else start), at
         found[path] = start
     return found
-
-
-def _went_back(
-    files: Mapping[Path, WatchedFile], stated: Mapping[Path, float], written: Mapping[Path, float]
-) -> tuple[Path, Path] | None:
-    """Return two following shots of a stack, of which the second was written later and states an earlier time.
-
-    A shot that was captured again is later by both clocks.
-    """
-    stacks: dict[tuple[object, ...], list[Path]] = {}
-    for path in sorted(files, key=lambda p: (natural(files[p].shot), files[p].name)):
-        file = files[path]
-        if file.shot and path in written:
-            stack = (file.role, file.target, file.tile, file.band, file.exposure_s)
-            stacks.setdefault(stack, []).append(path)
-    for shots in stacks.values():
-        for one, other in pairwise(shots):
-            if stated[other] < stated[one] - BACK_S and written[other] > written[one]:
-                return one, other
-    return None

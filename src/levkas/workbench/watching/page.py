@@ -1,12 +1,10 @@
-"""The page that follows a watched session: its routes, events and server."""
+"""The page that follows a watched session: its routes and server."""
 
 from __future__ import annotations
 
-import asyncio
-import json
 import threading
-from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from secrets import token_urlsafe
 from typing import TYPE_CHECKING, Any
 
@@ -23,18 +21,14 @@ from levkas.workbench.server.app import (
     server_of,
 )
 from levkas.workbench.server.guard import App, Guard, cookie_of
-from levkas.workbench.watching.files import fresh_of
 
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-    from levkas.workbench.watching.files import FrameState
     from levkas.workbench.watching.session import SessionState, WatchedSession
 
 ASSETS = {"watch.js": "text/javascript", "watch.css": "text/css"}
-BEAT_S, ALIVE_S = 0.2, 15.0
-"""How often a browser's stream looks for news; and after which silence it says that it is alive."""
 
 
 @dataclass
@@ -50,43 +44,18 @@ class SessionBoard:
     session: WatchedSession
     version: int = 0
     state: SessionState | None = None
-    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def publish(self, state: SessionState) -> None:
         """Show a state from now on."""
-        with self._lock:
-            self.state, self.version = state, self.version + 1
+        self.state, self.version = state, self.version + 1
 
-    def news(self, shown: dict[str, FrameState]) -> dict[str, Any] | None:
-        """Return what a browser has not shown yet, JSON-ready, and note it in `shown`; None before the first state."""
-        with self._lock:
-            state = self.state
-        if state is None:
-            return None
-        fresh = {frame.file.name: frame for frame in fresh_of(state.frames, shown)}
-        gone = sorted(shown.keys() - {f.file.name for f in state.frames})
-        shown.update(fresh)
-        for name in gone:
-            del shown[name]
-        record = state.to_dict()
-        record["frames"] = [frame.to_dict() for frame in fresh.values()]
-        return {**record, "gone": gone, "folder": self.session.watch.root.name}
-
-    async def events(self) -> AsyncIterator[str]:
-        """Yield server-sent events: at first the whole session, then what changes."""
-        shown: dict[str, FrameState] = {}
-        version, silent = 0, 0.0
-        while True:
-            if self.version != version:
-                version, silent = self.version, 0.0
-                news = await asyncio.to_thread(self.news, shown)
-                if news is not None:
-                    yield f"data: {json.dumps(plain(news), ensure_ascii=False)}\n\n"
-            elif silent >= ALIVE_S:
-                silent = 0.0
-                yield ": alive\n\n"
-            silent += BEAT_S
-            await asyncio.sleep(BEAT_S)
+    def news(self, known: int) -> dict[str, Any]:
+        """Return the version, and the session where that is not the known one; JSON-ready."""
+        version, state = self.version, self.state
+        if state is None or version == known:
+            return {"version": version}
+        folder = self.session.watch.root.name
+        return {"version": version, "session": {**plain(state.to_dict()), "folder": folder}}
 
 
 def make_watch_app(
@@ -95,7 +64,7 @@ def make_watch_app(
     """Return the application of the page, behind the workbench's guard."""
     from starlette.applications import Starlette
     from starlette.exceptions import HTTPException
-    from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
+    from starlette.responses import HTMLResponse, JSONResponse, Response
     from starlette.routing import Route
 
     from levkas.workbench.server import routes
@@ -116,10 +85,8 @@ def make_watch_app(
         return Response(data, media_type="image/png")
 
     def session(request: Request, body: dict[str, Any]) -> Response:
-        return JSONResponse(plain({"ok": True, **(board.news({}) or {})}))
-
-    async def events(request: Request) -> Response:
-        return StreamingResponse(board.events(), media_type="text/event-stream")
+        known = request.query_params.get("known", "")
+        return JSONResponse({"ok": True, **board.news(int(known) if known.isdecimal() else -1)})
 
     table = [
         Route("/", routes.answering(page), methods=["GET"]),
@@ -127,7 +94,6 @@ def make_watch_app(
         Route("/enter", routes.answering(enter), methods=["POST"]),
         Route("/api/session", routes.answering(session), methods=["GET"]),
         Route("/api/picture", routes.answering(picture), methods=["GET"]),
-        Route("/api/events", events, methods=["GET"]),
     ]
     inner = Starlette(routes=table, exception_handlers={HTTPException: routes.refuse_http})
     inner.router.redirect_slashes = False

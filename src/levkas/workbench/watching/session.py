@@ -117,12 +117,11 @@ class _Known:
     tried: float = 0.0
     hashed: bool = False
     judged: tuple[object, FrameOfSet] | None = None
-    shown: tuple[object, FrameState] | None = None
-    """What was made of them, and what of: made again where that changes."""
+    """The frame as it is judged, and what it was made of: the same one is not judged again."""
 
 
-_Found = tuple[dict[Path, list[Finding]], dict[Path, float], list[str]]
-"""Findings and moments of frames, and what is doubtful of their times."""
+_Found = tuple[dict[Path, list[Finding]], dict[Path, float]]
+"""Findings and moments of frames."""
 
 
 @dataclass
@@ -141,9 +140,6 @@ class WatchedSession:
     cache: MeasureCache | None = None
     _known: dict[Path, _Known] = field(default_factory=dict)
     _judges: dict[tuple[str, str, str], tuple[Camera, FrameJudge]] = field(default_factory=dict)
-    _judged: dict[tuple[str, str, str], tuple[object, dict[str, list[Finding]]]] = field(
-        default_factory=dict
-    )
 
     def __post_init__(self) -> None:
         self.watch = FolderWatch(Path(self.folder))
@@ -152,7 +148,6 @@ class WatchedSession:
         self.listing = FolderListing()
         self._now = 0.0
         self._plan: tuple[Stamp | None, tuple[str, ...]] = (None, ())
-        self._found: tuple[object, _Found] | None = None
 
     @property
     def campaign(self) -> Campaign | None:
@@ -220,20 +215,14 @@ class WatchedSession:
         listing, campaign = self.listing, self.listing.campaign
         if campaign is None:
             return SessionState(problems=listing.problems, away=self.watch.away_since is not None)
-        ready = [
-            (file, self._known[path]) for path, file in listing.files.items() if self._is_read(path)
-        ]
-        if self._found is None or self._found[0] != (campaign, ready):
-            self._found = (campaign, ready), self._findings(campaign, listing)
-        findings, moments, doubts = self._found[1]
+        findings, moments = self._findings(campaign, listing)
         frames = [self._shown(file, findings, moments) for file in listing.files.values()]
         frames.sort(key=lambda f: (natural(f.file.name), f.file.name))
         planned = [name for name in self._planned() if name not in campaign.cameras]
         missing = find_missing(campaign, frames, planned) if frames else ()
         away = self.watch.away_since is not None
-        problems = (*listing.problems, *doubts)
         return SessionState(
-            tuple(frames), tuple(missing), listing.guessed, listing.strays, problems, away
+            tuple(frames), tuple(missing), listing.guessed, listing.strays, listing.problems, away
         )
 
     def picture_of(self, name: str) -> bytes | None:
@@ -351,26 +340,20 @@ class WatchedSession:
                 groups.setdefault((file.camera, file.setup, file.sensor), {})[path] = file
         found: dict[Path, list[Finding]] = {}
         moments: dict[Path, float] = {}
-        doubts: list[str] = []
         for key, files in groups.items():
             camera = campaign.cameras[key[0]]
             if key[1] and not _darks(files):  # a setup without darks of its own takes the camera's
                 files = {**files, **_darks(groups.get((key[0], "", key[2]), {}))}
             captured = {path: _moment(self._facts(path)) for path in files}
-            at, doubt = moments_of(files, captured, listing.stamps)
-            if doubt:
-                doubts.append(doubt)
+            at = moments_of(files, captured, listing.stamps)
             frames = [self._of_set(file, camera, at.get(path, 0.0)) for path, file in files.items()]
-            if key not in self._judged or self._judged[key][0] != (camera, frames):
-                if key not in self._judges or self._judges[key][0] != camera:
-                    self._judges[key] = camera, FrameJudge(_rules(camera))
-                self._judged[key] = (camera, frames), self._judges[key][1].judge(frames)
+            if key not in self._judges or self._judges[key][0] != camera:
+                self._judges[key] = camera, FrameJudge(_rules(camera))
+            judged = self._judges[key][1].judge(frames)
             for path, file in files.items():
                 if (file.camera, file.setup, file.sensor) == key:
-                    found[path], moments[path] = self._judged[key][1][file.name], at.get(path, 0.0)
-        for gone in self._judged.keys() - groups.keys():
-            del self._judged[gone]
-        return found, moments, sorted(set(doubts))
+                    found[path], moments[path] = judged[file.name], at.get(path, 0.0)
+        return found, moments
 
     def _facts(self, path: Path) -> Facts:
         facts = self._known[path].facts
@@ -413,14 +396,9 @@ class WatchedSession:
             broken = Finding("file", "stop", f"the file is not whole: {known.refused}", advice)
             return FrameState(file, "stop", (broken,), exposure_s=file.exposure_s)
         own, at = findings.get(file.path, []), moments.get(file.path, 0.0)
-        made_of = file, own, at, known.facts
-        if known.shown is not None and known.shown[0] == made_of:
-            return known.shown[1]
         exposure_s = file.exposure_s or known.facts.exposure_s
         size = tuple(map(int, known.measures.shape))
-        frame = FrameState(file, worst(own), tuple(own), at, exposure_s, size)
-        known.shown = made_of, frame
-        return frame
+        return FrameState(file, worst(own), tuple(own), at, exposure_s, size)
 
 
 def _darks(files: Mapping[Path, WatchedFile]) -> dict[Path, WatchedFile]:
