@@ -3,13 +3,7 @@ import subprocess
 import pytest
 
 from levkas.core.digests import hash_file
-from levkas.database.manifest import (
-    NAME,
-    Listed,
-    _to_bytes,
-    read_manifest,
-    write_manifest,
-)
+from levkas.database.manifest import NAME, Listed, _to_bytes, read_manifest, write_manifest
 
 
 @pytest.fixture

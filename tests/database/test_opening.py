@@ -13,12 +13,7 @@ from levkas.core.digests import hash_file, hash_tree
 from levkas.core.files import write_json
 from levkas.core.problems import Refused
 from levkas.core.rounding import round_sigma
-from levkas.database.catalogue import (
-    COLUMNS,
-    DatabaseRefused,
-    read_catalogue,
-    write_catalogue,
-)
+from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue, write_catalogue
 from levkas.database.credits import Credits
 from levkas.database.layers import Layer, centres_of, write_layer
 from levkas.database.spectral_tiff import read_stiff, write_stiff

@@ -28,10 +28,7 @@ def blank(height=120, width=130):
     return np.zeros((height, width, 3))
 
 
-@pytest.mark.parametrize(
-    ("side", "share"),
-    [(1, 1.0), (10, None), (100, None)],
-)
+@pytest.mark.parametrize(("side", "share"), [(1, 1.0), (10, None), (100, None)])
 def test_the_mean_of_pixels_that_share_noise_scatters_as_is_said(side, share):
     """Noise that was interpolated by a kernel, drawn again and again: means scatter by its own sums, which are not the module's."""
     kernel = np.outer([0.25, 0.5, 0.25], [0.1, 0.8, 0.1])

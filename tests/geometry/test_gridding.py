@@ -67,11 +67,7 @@ def test_scaling_keeps_pixel_corners():
     assert np.allclose(points, [[10.5, 5.5], [9.5, 4.5], [29.5, 14.5]])
 
 
-@given(
-    st.booleans(),
-    st.floats(-720, 720),
-    st.tuples(st.integers(1, 50), st.integers(1, 50)),
-)
+@given(st.booleans(), st.floats(-720, 720), st.tuples(st.integers(1, 50), st.integers(1, 50)))
 def test_every_reference_pixel_is_on_the_whole_grid(mirror, rotate, size):
     grid = Grid(size, mirror=mirror, rotate=rotate)
     w, h = size

@@ -104,7 +104,6 @@ class LayerAccessor:
         *,
         rectangle: tuple[float, float, float, float] | None = None,
         circle: tuple[float, float, float] | None = None,
-        bins: int = 0,
     ) -> xarray.Dataset:
         """Return mean, standard deviation and number of sound pixels of a region, band by band.
 
@@ -115,8 +114,6 @@ class LayerAccessor:
         rectangle : (x0, y0, x1, y1), px
             From pixel to pixel, both included.
         circle : (x, y, radius), px
-        bins : int
-            Of a histogram of each band; 0: none.
 
         Returns
         -------
@@ -132,7 +129,7 @@ class LayerAccessor:
 
         region = make_region(polygon, rectangle, circle)
         layer, flags = (_with_bands(array) for array in (self._array, self.flags))
-        return region_statistics(layer, flags, region, bins=bins)
+        return region_statistics(layer, flags, region)
 
     def uncertainty(
         self,

@@ -23,12 +23,7 @@ from levkas.database.credits import Credits
 from levkas.database.described import describe_pages
 from levkas.database.layout import SIGMA, STEP, LayerId, layer_name
 from levkas.database.preview import write_preview
-from levkas.database.spectral_tiff import (
-    THREADS,
-    PageSpool,
-    TiffHeader,
-    write_encoded_pages,
-)
+from levkas.database.spectral_tiff import THREADS, PageSpool, TiffHeader, write_encoded_pages
 from levkas.database.store import writing_layer
 from levkas.database.tiff_pages import open_pages
 
@@ -287,10 +282,7 @@ class _SpooledTiffs:
 
 
 def describe_files(
-    paths: Iterable[Path],
-    credits: Credits,
-    px_per_mm: float | None,
-    centroids: Mapping[str, float],
+    paths: Iterable[Path], credits: Credits, px_per_mm: float | None, centroids: Mapping[str, float]
 ) -> None:
     """Write anew what the files of a layer say about its pixels; strips and chunks are copied as they are.
 

@@ -148,12 +148,7 @@ class FrameMap:
         return FrameMap(self.target, self.source, self.reference)(points)
 
 
-def find_map(
-    database: str | Path,
-    name: str,
-    source: str | Frame,
-    target: str | Frame,
-) -> FrameMap:
+def find_map(database: str | Path, name: str, source: str | Frame, target: str | Frame) -> FrameMap:
     """Return the map between two frames of an object.
 
     Parameters

@@ -97,7 +97,7 @@ def make_region(
 
 
 def region_statistics(
-    layer: xarray.DataArray, flags: xarray.DataArray, region: Region, *, bins: int = 0
+    layer: xarray.DataArray, flags: xarray.DataArray, region: Region
 ) -> xarray.Dataset:
     """Return mean, standard deviation and number of sound pixels of a region, band by band.
 
@@ -107,15 +107,12 @@ def region_statistics(
         Read some rows at a time; nothing outside the region's rows is read.
     region : Region
         By the coordinates x and y of the layer.
-    bins : int
-        Of a histogram between the least and the largest sound value of all bands; 0: none.
 
     Returns
     -------
     statistics : xarray.Dataset
         Over ``band``: ``mean``; ``std``, with n − 1 in its denominator, NaN of fewer than two; ``n``, sound
-        pixels; ``pixels``, all of the region on the grid. With `bins`: ``histogram`` (band, bin) and the
-        coordinate ``edges``.
+        pixels; ``pixels``, all of the region on the grid.
 
     Raises RegionRefused: ``E_REGION`` where no pixel of the layer lies within.
     """
@@ -125,11 +122,9 @@ def region_statistics(
         raise _refused(f"dimensions {', '.join(map(str, layer.dims))}", "an array of y, x and band")
     x0, y0, x1, y1 = region.bounds
     columns, rows = _within(layer["x"].values, x0, x1), _within(layer["y"].values, y0, y1)
-    blocks = _Blocks(layer, flags, region, rows, columns)
-    bands = layer.sizes["band"]
+    bands, pixels = layer.sizes["band"], 0
     count, mean, spread = np.zeros(bands, np.int64), np.zeros(bands), np.zeros(bands)
-    low, high, pixels = np.inf, -np.inf, 0
-    for values, sound in blocks.read():
+    for values, sound in _blocks(layer, flags, region, rows, columns):
         pixels += len(values)
         n = sound.sum(0)
         held = np.where(sound, values, 0.0)
@@ -140,8 +135,6 @@ def region_statistics(
         spread += np.square(rest).sum(0) + np.square(here - mean) * count * n / total
         mean += (here - mean) * n / total
         count += n
-        if n.any():
-            low, high = min(low, values[sound].min()), max(high, values[sound].max())
     if not pixels:
         raise _refused("no pixel within", "the centre of a pixel of the array, by its x and y")
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -152,43 +145,24 @@ def region_statistics(
         "n": ("band", count),
         "pixels": ((), pixels),
     }
-    dataset = xarray.Dataset(
-        found, coords={k: v for k, v in layer.coords.items() if v.dims == ("band",)}
-    )
-    if not bins:
-        return dataset
-    edges = (
-        np.linspace(low, high, bins + 1) if np.isfinite(low) else np.linspace(0.0, 1.0, bins + 1)
-    )
-    counts = np.zeros((bands, bins), np.int64)
-    for values, sound in blocks.read():
-        for band in range(bands):
-            counts[band] += np.histogram(values[sound[:, band], band], edges)[0]
-    return dataset.assign(histogram=(("band", "bin"), counts)).assign_coords(edges=("edge", edges))
+    coords = {k: v for k, v in layer.coords.items() if v.dims == ("band",)}
+    return xarray.Dataset(found, coords=coords)
 
 
-@dataclass(frozen=True)
-class _Blocks:
-    """The pixels of a region, some rows at a time."""
-
-    layer: xarray.DataArray
-    flags: xarray.DataArray
-    region: Region
-    rows: range
-    columns: range
-
-    def read(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield values and which are sound, (pixels, bands)."""
-        across = slice(self.columns.start, self.columns.stop)
-        x, y = self.layer["x"].values[across], self.layer["y"].values
-        step = max(1, BLOCK_SAMPLES // max(1, len(x) * self.layer.sizes["band"]))
-        for top in self.rows[::step] if len(x) else ():
-            down = slice(top, min(top + step, self.rows.stop))
-            mask = self.region.contains(x[None], y[down, None])
-            part = {"y": down, "x": across}
-            values = self.layer.isel(part).values[mask].astype(np.float64)
-            flags = self.flags.isel(part).values[mask]
-            yield values, ((flags & ~TRUSTED) == 0) & np.isfinite(values)
+def _blocks(
+    layer: xarray.DataArray, flags: xarray.DataArray, region: Region, rows: range, columns: range
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield values of a region's pixels and which are sound, (pixels, bands), some rows at a time."""
+    across = slice(columns.start, columns.stop)
+    x, y = layer["x"].values[across], layer["y"].values
+    step = max(1, BLOCK_SAMPLES // max(1, len(x) * layer.sizes["band"]))
+    for top in rows[::step] if len(x) else ():
+        down = slice(top, min(top + step, rows.stop))
+        mask = region.contains(x[None], y[down, None])
+        part = {"y": down, "x": across}
+        values = layer.isel(part).values[mask].astype(np.float64)
+        marks = flags.isel(part).values[mask]
+        yield values, ((marks & ~TRUSTED) == 0) & np.isfinite(values)
 
 
 def _within(places: np.ndarray, low: float, high: float) -> range:

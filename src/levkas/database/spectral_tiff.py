@@ -193,11 +193,7 @@ class PageSpool:
     """
 
     def __init__(
-        self,
-        handle: BinaryIO,
-        shape: tuple[int, int, int],
-        dtype: Any,
-        pool: ThreadPoolExecutor,
+        self, handle: BinaryIO, shape: tuple[int, int, int], dtype: Any, pool: ThreadPoolExecutor
     ) -> None:
         self._handle, self.shape, self._pool = handle, shape, pool
         self._rows = strip_rows(shape[1], dtype)

@@ -155,9 +155,7 @@ def lay_bands(
 
 
 def _lay_band(
-    transform: Transform,
-    shape: tuple[int, int],
-    lattices: Sequence[tuple[int, int]] = LATTICES,
+    transform: Transform, shape: tuple[int, int], lattices: Sequence[tuple[int, int]] = LATTICES
 ) -> Lattice:
     height, width = shape
     coarsest = 1.0

@@ -170,10 +170,7 @@ def _is_shared(maps: Maps) -> bool:
 
 
 def source_rows(
-    transforms: Maps,
-    shape: tuple[int, int],
-    rows: tuple[int, int],
-    height: int,
+    transforms: Maps, shape: tuple[int, int], rows: tuple[int, int], height: int
 ) -> tuple[int, int]:
     """Return the source rows, first and one past the last, that grid rows are interpolated from.
 
@@ -356,11 +353,7 @@ def _interleave(planes: np.ndarray, cube: np.ndarray) -> None:
 
 
 def _resample(
-    lattice: Lattice,
-    shape: tuple[int, int],
-    rows: tuple[int, int],
-    frame: _Frame,
-    warped: Warped,
+    lattice: Lattice, shape: tuple[int, int], rows: tuple[int, int], frame: _Frame, warped: Warped
 ) -> int:
     """Resample all bands through one map; return how often a source row was not held."""
     from levkas.geometry import resample_kernels as loops

@@ -167,11 +167,7 @@ def open_envi(path: str | Path) -> EnviFile:
         notes=notes,
     )
     return EnviFile(
-        facts=facts,
-        data=data,
-        offset=layout.offset,
-        layout=layout.dtype.str,
-        header=header.fields,
+        facts=facts, data=data, offset=layout.offset, layout=layout.dtype.str, header=header.fields
     )
 
 

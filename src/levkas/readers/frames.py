@@ -90,9 +90,7 @@ READERS = {
         (b"MATLAB 7.3 MAT-fil",),
     ),
     "mat": Reader(
-        "levkas.readers.container_cubes",
-        *("read_mat_facts", "read_mat"),
-        (b"MATLAB 5.0 MAT-fil",),
+        "levkas.readers.container_cubes", *("read_mat_facts", "read_mat"), (b"MATLAB 5.0 MAT-fil",)
     ),
 }
 STACKS = {".rpl": "ripple", ".h5": "hdf5", ".hdf5": "hdf5"}
