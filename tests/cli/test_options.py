@@ -11,7 +11,7 @@ import typer.main
 from typer.testing import CliRunner
 
 from levkas.cli import app
-from levkas.cli.options import EXCLUDES, GONE, NEEDS
+from levkas.cli.options import EXCLUDES, NEEDS
 
 BENCH = Path(__file__).resolve().parents[2] / "examples" / "plan"
 
@@ -68,13 +68,6 @@ def test_an_option_that_would_have_no_effect_beside_another_is_refused(name):
     for option, others in EXCLUDES[name].items():
         for other in others:
             assert run(name, *words_of(name, option), *words_of(name, other)).exit_code == 2, other
-
-
-@pytest.mark.parametrize("name", GONE)
-def test_an_option_that_is_gone_is_refused_with_what_to_do(name):
-    for option, instead in GONE[name].items():
-        refused = run(name, f"{option}=x")
-        assert refused.exit_code == 2 and instead in " ".join(refused.output.split())
 
 
 @pytest.mark.parametrize("name", EACH)

@@ -30,28 +30,6 @@ EXCLUDES: dict[str, Needs] = {
     "watch": {"--once": ("--bell", "--port", "--no-open")},
 }
 """Command → option → others that would have no effect beside it."""
-GONE = {
-    "build": dict.fromkeys(
-        ("--cluster", "--workers"),
-        "A build is one process with threads; leave it out, or build objects side by side with --object.",
-    ),
-    "estimate": {
-        "--choose-by": "Leave it out: parameters are chosen by the error of reflectance.",
-        "--split": "Leave it out: each painting is left out in turn.",
-        "--no-budget": "Leave it out: there is no error budget.",
-    },
-    "evaluate": {"--maps": "Leave it out: the report of each layer shows its map of SSIM."},
-    "plan light": {"--seed": "Leave it out: nothing is drawn."},
-    "publish": {
-        "--edition": "Layers are published at full size; leave it out. `size` in [grid] of campaign.toml makes a smaller database."
-    },
-    "simulate": dict.fromkeys(
-        ("--live", "--interval", "--faults"),
-        "Leave it out: simulate a campaign, and copy its frames where `levkas watch` looks.",
-    ),
-}
-"""Command → option of an earlier version → what to do instead."""
-
 
 METAVARS = {"path": "PATH", "int": "N", "float": "NUMBER"}
 """Type → what stands behind an option in the help; behind one of text its own name."""
@@ -93,10 +71,7 @@ class StrictCommand(TyperCommand):
                 formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse words as typer does; raises UsageError where an option would have no effect, or is gone."""
-        for option, instead in GONE.get(_words(ctx), {}).items():
-            if any(arg.partition("=")[0] == option for arg in args):
-                ctx.fail(f"{option} is no longer there. {instead}")
+        """Parse words as typer does; raises UsageError where an option would have no effect."""
         try:
             rest = super().parse_args(ctx, list(args))
         except BadParameter as error:
