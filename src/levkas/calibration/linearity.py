@@ -32,6 +32,9 @@ CURVED = 0.003  # of the light, relative: reflectance may be off by as much befo
 SIGMAS = 4.0  # of a bend, or of an offset, to be one
 ALIKE = 1.15  # contrast of the pixels of a group whose mean is a point of a curve
 FEWEST_POINTS = 16
+LEAST_SPAN = (
+    2.0  # of counts at one exposure, brightest over dimmest: an even white alone shows no bend
+)
 MOST_WEIGHT = 0.1  # of all pixels, that a group may count for
 OUTLIER = 4.0  # usual deviations from a line, from which on a group moved
 EVEN = 1.5  # of the dimmest of eight neighbours, the brightest: noise of a tenth makes as much
@@ -196,6 +199,9 @@ def find_bend(points: Sequence[Point], full: float) -> Bend:
     group = np.unique(named[:, 0], return_inverse=True)[1]
     which = np.unique(named[:, 1:3], axis=0, return_inverse=True)[1].ravel()
     counts, pixels = named[:, 3], named[:, 4]
+    spans = (np.ptp(np.log(counts[which == one])) for one in range(which.max() + 1))
+    if max(spans) < np.log(LEAST_SPAN):
+        return Bend()
     weight = np.minimum(pixels, MOST_WEIGHT * pixels.sum())
 
     def rest(values: np.ndarray) -> np.ndarray:
