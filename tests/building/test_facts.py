@@ -3,8 +3,6 @@
 import itertools
 import struct
 import zlib
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +10,7 @@ import tifffile
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from levkas.building import build
-from levkas.calibration.agreement import OF_ONE_NOISE, Contradiction, compare_facts
+from levkas.calibration.agreement import OF_ONE_NOISE
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
@@ -249,12 +246,15 @@ VARIANTS = {
     },
 }  # fmt: skip
 PLACES = {"white": "white", "dark": "dark", "object": ("panel", 1), "second white": ("white", 1)}
+EVERY = [(form, name) for form, facts in VARIANTS.items() for name in facts]
+TURNS = itertools.cycle(PLACES)
 CASES = [
-    (form, name, place)
-    for form, facts in VARIANTS.items()
-    for name, place in itertools.product(facts, PLACES)
+    pytest.param(form, name, place, marks=[pytest.mark.exhaustive] * (place != first))
+    for (form, name), first in zip(EVERY, TURNS, strict=False)
+    for place in PLACES
     if not (form in SCANS and place == "object")
 ]
+"""Every fact of every format, its place in turn; the other places are exhaustive."""
 NO_MATTER = {("tiff", "wavelengths", "dark")}
 """A filter before a dark is nothing to the sensor."""
 
@@ -297,8 +297,9 @@ OTHER_TAGS = {
 }
 
 
-@pytest.mark.parametrize("form", ["tiff", "png", "dng"])
-@pytest.mark.parametrize("name", OTHER_TAGS)
+@pytest.mark.parametrize(
+    ("name", "form"), [*zip(OTHER_TAGS, itertools.cycle(["tiff", "png", "dng"]), strict=False)]
+)
 def test_a_fact_in_another_tag_is_compared(tmp_path, form, name):
     fact, base, other = OTHER_TAGS[name]
     found, said = outcome(make(tmp_path / "c", form, {"dark": base, "white": base, "panel": other}))
@@ -306,11 +307,10 @@ def test_a_fact_in_another_tag_is_compared(tmp_path, form, name):
     assert all(f'"{fact}"' in problem.fix for problem in said)
 
 
-@pytest.mark.parametrize("form", ["tiff", "png", "dng"])
 @pytest.mark.parametrize(
-    ("base", "other"),
-    [({STOP: 5.6}, {APERTURE: 4.97}), ({STOP: 8.0}, {STOP: 0.0, APERTURE: 0.0}),
-     ({ISO: 100}, {RECOMMENDED: 100}), ({MAKE: "NIKON CORPORATION"}, {MAKE: "Nikon"})],
+    ("form", "base", "other"),
+    [("tiff", {STOP: 5.6}, {APERTURE: 4.97}), ("png", {STOP: 8.0}, {STOP: 0.0, APERTURE: 0.0}),
+     ("dng", {ISO: 100}, {RECOMMENDED: 100}), ("tiff", {MAKE: "NIKON CORPORATION"}, {MAKE: "Nikon"})],
 )  # fmt: skip
 def test_one_value_in_two_tags_is_no_contradiction(tmp_path, form, base, other):
     found, said = outcome(make(tmp_path / "c", form, {"dark": base, "white": base, "panel": other}))
@@ -322,7 +322,13 @@ def test_every_fact_has_a_format_that_states_it():
     assert stated == FACTS_BY_NAME.keys()
 
 
-@pytest.mark.parametrize(("form", "name"), [(f, n) for f, facts in VARIANTS.items() for n in facts])
+@pytest.mark.parametrize(
+    ("form", "name"),
+    [
+        pytest.param(*one, marks=[pytest.mark.exhaustive] * (k % 6 > 0))
+        for k, one in enumerate(EVERY)
+    ],
+)
 def test_a_contradiction_is_accepted_by_name_and_said(tmp_path, form, name):
     names = {name, "bits", "saturation"}  # a DNG's bits are those of its white level
     more = f"overrule = {sorted(names)}"
@@ -335,13 +341,13 @@ def test_an_overrule_that_accepts_nothing_is_said(tmp_path):
     folder = make(tmp_path / "c", "tiff", {"all": {ISO: 100}}, 'overrule = ["iso"]')
     found, said = outcome(folder)
     assert found == "right"
-    assert any("`overrule` of iso has no effect" in w for w in said)
+    assert any("`overrule`" in w and "iso" in w for w in said)
 
 
-def test_an_unknown_name_in_overrule_is_refused_with_the_nearest(tmp_path):
-    folder = make(tmp_path / "c", "tiff", {}, 'overrule = ["f_numbr"]')
-    with pytest.raises(CampaignInvalid, match="Did you mean 'f_number'"):
-        load_campaign(folder)
+def test_an_unknown_name_in_overrule_is_refused(tmp_path):
+    with pytest.raises(CampaignInvalid) as refused:
+        load_campaign(make(tmp_path / "c", "tiff", {}, 'overrule = ["f_numbr"]'))
+    assert "overrule" in refused.value.problems[0].field
 
 
 # --- what is no contradiction -----------------------------------------------------------------------
@@ -363,8 +369,9 @@ ORDINARY = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ORDINARY)
-@pytest.mark.parametrize("place", ["white", "dark"])
+@pytest.mark.parametrize(
+    ("name", "place"), [*zip(ORDINARY, itertools.cycle(["white", "dark"]), strict=False)]
+)
 def test_what_vendors_write_is_no_contradiction(tmp_path, name, place):
     form, base, other = ORDINARY[name]
     found, said = outcome(make(tmp_path / "c", form, {"all": base, place: other}))
@@ -397,8 +404,10 @@ OTHER_CODES = {
 }
 
 
-@pytest.mark.parametrize("form", OTHER_CODES)
-@pytest.mark.parametrize("target", ["white", "dark", "panel"])
+@pytest.mark.parametrize(
+    ("form", "target"),
+    [*zip(OTHER_CODES, itertools.cycle(["white", "dark", "panel"]), strict=False)],
+)
 def test_codes_of_another_scale_are_refused(tmp_path, form, target):
     folder = rewritten(make(tmp_path / "c", "tiff", {}), target, OTHER_CODES[form])
     found, said = outcome(folder)
@@ -406,7 +415,7 @@ def test_codes_of_another_scale_are_refused(tmp_path, form, target):
     assert [p.code for p in said if "code_spacing" in p.fix], said
 
 
-@pytest.mark.parametrize("form", OTHER_CODES)
+@pytest.mark.parametrize("form", ["fractions", "stretched to 16 bits"])
 def test_one_scale_of_all_files_is_no_contradiction(tmp_path, form):
     folder = make(tmp_path / "c", "tiff", {})
     for target in LEVELS:
@@ -463,10 +472,13 @@ def test_bands_may_have_their_own_iso_where_white_and_object_agree(tmp_path):
     assert "white_0_850nm" in problems[0].file and "as panel_0_850nm" in problems[0].expected
 
 
-BAND_CASES = [(form, name) for form in ("tiff", "png") for name in VARIANTS[form]]
-
-
-@pytest.mark.parametrize(("form", "name"), [c for c in BAND_CASES if c[1] != "wavelengths"])
+@pytest.mark.parametrize(
+    ("form", "name"),
+    [
+        *(("tiff", n) for n in ("iso", "f_number", "model", "black", "saturation", "pattern")),
+        *(("png", n) for n in ("bits", "sample_type", "lens")),
+    ],
+)
 def test_a_band_whose_files_agree_with_each_other_and_not_with_those_of_another(
     tmp_path, form, name
 ):
@@ -510,10 +522,16 @@ def scans(folder, orders, more="", **options):
     return folder, truth
 
 
-@pytest.mark.parametrize("role", ["white", "dark", "panel"])
-@pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 3, 0, 2)])
-@pytest.mark.parametrize("more", ["", 'scan = "mirror"'])
-@pytest.mark.parametrize("options", [{}, {"names": True}, {"times": True}])
+@pytest.mark.parametrize(
+    ("role", "order", "more", "options"),
+    [
+        ("white", (3, 2, 1, 0), "", {}),
+        ("dark", (1, 3, 0, 2), "", {"names": True}),
+        ("panel", (1, 3, 0, 2), "", {"times": True}),
+        ("white", (1, 3, 0, 2), 'scan = "mirror"', {"times": True}),
+        ("panel", (3, 2, 1, 0), 'scan = "mirror"', {}),
+    ],
+)
 def test_bands_in_another_order_are_matched(tmp_path, role, order, more, options):
     folder, truth = scans(tmp_path / "c", {role: order}, more, **options)
     cube, said = developed(folder)
@@ -573,26 +591,6 @@ def test_a_wavelength_in_a_name_that_the_file_contradicts_is_refused(tmp_path):
 # --- other roles and kinds --------------------------------------------------------------------------
 
 
-def compared(folder, **roles):
-    """Notes of the one sensor, frames of whose roles are exchanged."""
-    campaign = load_campaign(folder)
-    (capture,), _ = find_captures(campaign)
-    (sensor,) = capture.sensors
-    sensor = replace(sensor, **{name: getattr(sensor, role) for name, role in roles.items()})
-    return compare_facts(campaign.cameras["cam"], sensor, [])
-
-
-def test_a_chart_in_place_of_a_white_is_compared_as_a_white(tmp_path):
-    folder = make(
-        tmp_path / "c", "tiff", {"all": {STOP: 5.6}, "white": {STOP: 8.0}, "dark": {STOP: 2.8}}
-    )
-    with pytest.raises(Refused) as refused:
-        compared(folder, chart="white", white="dark", dark="dark")
-    assert [p.message.split()[1] for p in refused.value.problems] == ["white", "chart"]
-    with pytest.raises(Refused, match=r"chart and panel_0_550nm.tif differ in f-number"):
-        compared(folder, chart="white", white="chart")
-
-
 RED_EDGE = """
 [campaign]
 reference = "rededge"
@@ -620,60 +618,3 @@ def test_a_real_camera_that_chose_another_iso_for_two_of_its_bands(real_data, tm
     assert found == [("ISO", f"IMG_0000_{n}.tif", "100") for n in (3, 5)]
     facts = read_facts(f"{folder}/IMG_0001_3.tif")
     assert (facts.f_number, facts.focal_mm, facts.serial) == (2.8, 5.5, "1777777")
-
-
-def test_a_photograph_is_not_refused_and_its_shots_are_compared(tmp_path):
-    folder = make(tmp_path / "c", "jpeg", {("panel", 1): {ISO: 800}, ("panel", 0): {ISO: 100}})
-    toml = folder / "campaign.toml"
-    toml.write_text(toml.read_text().replace('"bands"', '"image"').replace("_{wavelength}nm", "*"))
-    found, said = outcome(folder)
-    assert found == "wrong"  # its codes as they are
-    assert any("ISO: 800 in panel_1_550nm.jpg" in w for w in said)
-
-
-def ends_of(folder):
-    """State and codes of each layer's calibration, by object and camera."""
-    steps = [step for step in build(folder) if step.finished and step.key.stage == "calibrate"]
-    return {(s.key.object, s.key.camera): (s.state, {p.code for p in s.problems}) for s in steps}
-
-
-@pytest.mark.slow
-def test_kept_templates_are_compared_with_every_object(tmp_path):
-    """The white was averaged, and kept, for an object that agrees with it."""
-    folder = make(tmp_path / "c", "dng", {})
-    codes = codes_of("dng", "panel", 0, {"effect": 2})
-    write_dng(folder / "other_0_s", codes, {WHITE_LEVEL: 16383})
-    toml = folder / "campaign.toml"
-    toml.write_text(toml.read_text().replace('["panel"]', '["panel", "other"]'))
-    ends = ends_of(folder)
-    assert ends["panel", "cam"] == ("done", set())
-    assert ends["other", "cam"] == ("refused", {"E_FACTS"})
-
-
-@pytest.mark.slow
-def test_whole_builds_refuse_every_camera_that_contradicts_itself_and_build_the_others(tmp_path):
-    """Every fact of every format, the role in turns."""
-    root, expected = tmp_path / "campaign", {}
-    root.mkdir()
-    toml = CAMPAIGN.partition("[cameras.cam]")[0]
-    turns = itertools.cycle(PLACES)
-    for form, name in [(f, n) for f, facts in VARIANTS.items() for n in facts]:
-        camera, place = f"{form}-{name}".replace("_", "-"), next(turns)
-        heeded = (form, name, place) in CASES and (form, name, place) not in NO_MATTER
-        if not heeded or place.split()[-1] not in FACTS_BY_NAME[name].roles:
-            place = "white"
-        contradicting(root / camera, form, name, place)
-        expected["panel", camera] = ("refused", {"E_FACTS"})
-        toml += f"[cameras.{camera}]\n{KEYS[form]}\n".replace('files = "', f'files = "{camera}/')
-    make(root / "cam", "tiff", {})
-    expected["panel", "cam"] = ("done", set())
-    toml += f"[cameras.cam]\n{KEYS['tiff']}\n".replace('files = "', 'files = "cam/')
-    rest = CAMPAIGN.partition("{more}")[2].format()
-    (root / "campaign.toml").write_text(toml + rest)
-    assert ends_of(root) == expected
-
-
-def test_files_of_one_name_are_named_with_their_folders():
-    white, panel = (Path(f"raw/{target}/550nm.tif") for target in ("white", "panel"))
-    one = Contradiction(FACTS_BY_NAME["iso"], "refused", "white", white, "200", "100", panel)
-    assert one.describe() == "ISO: 200 in white/550nm.tif (white), 100 in panel/550nm.tif"

@@ -20,7 +20,6 @@ from levkas.calibration.sensor_context import SensorContext
 from levkas.calibration.sensor_notes import doubts_of
 from levkas.campaign import camera_kinds
 from levkas.campaign.discovery.find_captures import find_captures
-from levkas.campaign.schema.cross_checks import check_pattern
 from levkas.readers.frames import read_facts
 from levkas.stages.sources import STAGES, files_of
 
@@ -93,16 +92,3 @@ def test_a_kind_that_reads_all_pages_of_a_file_has_no_warning_of_unread_ones(
     row = dataclasses.replace(camera_kinds.KINDS["mosaic"], reads_pages=True)
     monkeypatch.setitem(camera_kinds.KINDS, "mosaic", row)
     assert unread() == []
-
-
-def test_kinds_may_share_a_field_and_a_key(monkeypatch):
-    rows = {kind: camera_kinds.KINDS[kind] for kind in ("bands", "cube")}
-    rows["filters"] = dataclasses.replace(rows["bands"], keys=("bands", "scan"))
-    monkeypatch.setattr(camera_kinds, "KINDS", rows)
-    assert "wavelength" not in camera_kinds.fields_of_others("bands")
-    assert camera_kinds.fields_of_others("cube")["wavelength"] == ("bands", "filters")
-    assert "scan" not in camera_kinds.keys_of_others("filters")
-    assert camera_kinds.keys_of_others("bands")["scan"] == ("cube", "filters")
-    assert not list(check_pattern("files", "raw/{target}_{wavelength}nm.tif", "bands"))
-    (problem,) = check_pattern("files", "raw/{target}_{wavelength}nm.tif", "cube")
-    assert "'bands' or 'filters'" in problem.message

@@ -34,11 +34,6 @@ def test_a_single_dark_is_scaled_about_a_known_black_only():
     assert "unknown" in match_dark(dark(70, 1.0), 3.0).note
 
 
-def test_without_times_the_only_dark_serves():
-    assert level(dark(70), 3.0) == 70
-    assert level(dark(70, 1.0), None) == 70
-
-
 def test_several_darks_and_no_time_are_refused():
     with pytest.raises(CalibrationRefused) as refused:
         match_dark([dark(70, 1.0), dark(90, 2.0)], None)

@@ -25,14 +25,6 @@ def test_hot_sensels_are_found_and_no_others():
     assert sorted(map(tuple, np.argwhere(found).tolist())) == sorted(PLACES)
 
 
-def test_hot_sensels_are_found_in_darks_clipped_at_zero():
-    rng = np.random.default_rng(1)
-    frame = np.clip(np.rint(rng.normal(-1, 0.6, (200, 200))), 0, 255).astype(np.uint8)
-    frame[50, 60], frame[51, 60] = 90, 40
-    found = find_defects(average([frame]), None, "GBRG")
-    assert np.argwhere(found).tolist() == [[50, 60], [51, 60]]
-
-
 def test_the_dark_of_a_white_that_is_above_dark_is_not_subtracted_again():
     dark = average([np.full((40, 40), 64, np.uint16)])
     white = average([np.full((40, 40), 100.0, np.float32)])
@@ -88,11 +80,6 @@ def test_defects_do_not_mend_each_other():
     np.testing.assert_array_equal(values, 1)
 
 
-def test_a_whole_dead_region_stays_unknown():
-    frame, flags = np.ones((12, 12), np.float32), np.full((12, 12), Flag.DEFECT, np.uint8)
-    assert np.isnan(replace_defects(frame, flags, None)[0]).all()
-
-
 def test_the_stated_variance_covers_the_error_of_replacement():
     rng = np.random.default_rng(3)
     truth = rng.normal(100, 3, (300, 300)).astype(np.float32)
@@ -102,10 +89,3 @@ def test_the_stated_variance_covers_the_error_of_replacement():
     z = ((values - truth) / np.sqrt(np.where(flags, variance, 1)))[flags > 0]
     # Student's t of 7 degrees of freedom: a spread of 1.18.
     assert 1.0 < z.std() < 1.35
-
-
-def test_cubes_are_mended_band_by_band():
-    cube = np.ones((1, 9, 2), np.float32) * [1, 2]
-    flags = np.zeros(cube.shape, np.uint8)
-    flags[0, 4, 1] = Flag.DEFECT
-    assert replace_defects(cube, flags, None)[0][0, 4].tolist() == [1, 2]

@@ -49,8 +49,15 @@ def interpolated(kind, pattern, method):
     return values, truth, variance, own
 
 
-@pytest.mark.parametrize("kind", ["smooth", "discs", "fine"])
-@pytest.mark.parametrize("pattern, method", [(BAYER, "malvar"), (BAYER, "bilinear"), (NINE, None)])
+@pytest.mark.parametrize(
+    ("kind", "pattern", "method"),
+    [
+        ("discs", BAYER, "malvar"),
+        ("fine", BAYER, "bilinear"),
+        ("discs", NINE, None),
+        ("smooth", BAYER, "malvar"),
+    ],
+)
 def test_sigma_of_a_demosaiced_picture_holds(kind, pattern, method):
     values, truth, variance, own = interpolated(kind, pattern, method)
     miss = ((values - truth) / np.sqrt(variance))[8:-8, 8:-8]
@@ -81,7 +88,7 @@ def test_no_detail_adds_no_more_than_the_noise_of_estimating_it():
     assert ((values - truth) / np.sqrt(variance))[8:-8, 8:-8][~own[8:-8, 8:-8]].std() > 0.85
 
 
-@pytest.mark.parametrize("scale, shift", [(1, 0), (1, 0.5), (1.5, 0.2), (0.6, 0.3)])
+@pytest.mark.parametrize("scale, shift", [(1, 0.5), (0.6, 0.3)])
 def test_neighbours_that_share_sensels_are_not_averaged_as_if_they_did_not(scale, shift):
     values, truth, variance, _ = interpolated("smooth", BAYER, "malvar")
     there = Affine(np.array([[scale, 0.01, shift], [-0.01, scale, shift + 4]]))

@@ -8,7 +8,6 @@ import levkas
 from levkas.calibration.differing_shots import (
     Sight,
     difference_between,
-    find_differing_shots,
     require_agreement,
 )
 from levkas.calibration.drift import average_steady
@@ -43,10 +42,6 @@ def test_a_hand_in_one_of_some_whites_is_named(light):
     assert refused.value.problems[0].file == "white_3.tif"
 
 
-def test_a_white_without_its_lamp_is_named_with_a_hand_in_another():
-    assert averaged(whites([1, 0.02, 1, 1, 1, 1], hands={4})).shots.differing == (1, 4)
-
-
 @pytest.mark.parametrize("levels", [[1, 0.95] * 3, [1, 1.02, 1.04, 1.06], [1, 0.96]])
 def test_a_lamp_that_drifts_or_flickers_leaves_no_shot_out(levels):
     for light in (3000.0, 8.0):
@@ -66,16 +61,6 @@ def test_whites_of_which_no_majority_agrees_are_refused(hands):
         require_agreement(made.shots)
     assert refused.value.problems[0].code == "E_UNLIKE_SHOTS"
 
-
-def test_lines_of_many_weak_bands_are_left_in():
-    rng = np.random.default_rng(4)
-    light = np.geomspace(2, 2000, 40)[:, None] * np.linspace(0.1, 1, 8)
-    noise = np.sqrt(0.25 * light + 9) / 3
-    lines = light + noise * rng.standard_normal((400, 40, 8))
-    assert find_differing_shots(lines) == ((), 0.0)
-
-
-# --- shots of an object -------------------------------------------------------------------------
 
 Y, X = np.mgrid[:240, :320] / 240
 
@@ -120,7 +105,7 @@ def test_another_scene_is_one(light):
     assert difference(panel(2), light)[0] == "scene"
 
 
-@pytest.mark.parametrize("pixels", [(0, 4), (1.2, 0), (-2.5, 3), (30, -11)])
+@pytest.mark.parametrize("pixels", [(1.2, 0), (30, -11)])
 def test_another_place_is_told_in_pixels(pixels):
     moved = shift(panel(1), pixels, mode="nearest")
     what, by = difference(moved)
@@ -133,14 +118,14 @@ def test_other_light_is_no_exposure(lamp):
     assert difference(2 * panel(1) * lamp / np.median(lamp))[0] == "light"
 
 
-@pytest.mark.parametrize("times", [0.25, 2 ** (-1 / 3), 2 ** (1 / 3), 4.0])
+@pytest.mark.parametrize("times", [0.25, 2 ** (1 / 3)])
 def test_another_exposure_is_told_as_a_ratio(times):
     what, by = difference(times * panel(1), 900.0)
     assert what == "exposure" and by == pytest.approx(times, rel=0.02)
     assert difference(jpeg(times * panel(1)), first=jpeg(panel(1)))[0] == "exposure"
 
 
-@pytest.mark.parametrize("light", [2500.0, 250.0, 25.0, 2.0, 0.0])
+@pytest.mark.parametrize("light", [2500.0, 25.0, 0.0])
 @pytest.mark.parametrize(
     "change", [lambda s: s, lambda s: 1.06 * s, lambda s: 0.94 * s, with_insects],
     ids=["noise", "more", "less", "insects"],
@@ -152,21 +137,6 @@ def test_noise_lamp_and_insects_are_no_difference(change, light):
 def test_a_tremble_of_half_a_pixel_and_a_lamp_that_leans_are_no_difference():
     assert difference(shift(panel(1), (0.3, 0.4), mode="nearest")) is None
     assert difference(panel(1) * (0.96 + 0.08 * X / X.max())) is None
-
-
-def test_a_shutter_that_stayed_shut_is_another_exposure():
-    assert difference(0 * panel(1))[0] == "exposure"
-
-
-def test_every_shot_that_is_unlike_the_first_is_named():
-    frames = [recorded(s, k) for k, s in enumerate((panel(1), panel(2), panel(1), 2 * panel(1)))]
-    made = average_steady(lambda: frames, 60.0, saturation=4095)
-    with pytest.raises(CalibrationRefused) as refused:
-        require_agreement(made.shots, ["a", "b", "c", "d"])
-    assert [(p.code, p.file, p.field) for p in refused.value.problems] == [
-        ("E_UNLIKE_SHOTS", "b", "scene"),
-        ("E_UNLIKE_SHOTS", "d", "exposure"),
-    ]
 
 
 def test_arrays_of_two_scenes_are_refused_as_in_a_build():

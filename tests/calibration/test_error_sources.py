@@ -131,21 +131,6 @@ def test_another_certificate_is_another_error():
     assert np.allclose(same.by_source()["white"], 0, atol=1e-12)
 
 
-def test_two_rows_of_one_source_in_two_units_are_two_errors():
-    rows = [
-        ErrorSource("chart as white", unit, of_all(size), "frame", all_bands=False)
-        for unit, size in (("relative", 0.01), ("reflectance", 0.002))
-    ]
-    found = uncertain_mean(MeanSpectrum(LABELS, FIRST, np.zeros(3), NM), rows, layer="a")
-    assert np.allclose(found.sigma, np.hypot(0.01 * FIRST, 0.002))
-
-
-def test_lines_of_a_scan_average_their_own_error():
-    line = ErrorSource("flicker", "relative", of_all(0.01), "line", all_bands=True)
-    mean = MeanSpectrum(LABELS, FIRST, np.zeros(3), NM, lines=25)
-    assert np.allclose(uncertain_mean(mean, [line], layer="a").sigma, 0.002 * FIRST)
-
-
 def test_bands_without_a_wavelength_have_no_slope_and_rows_come_back():
     mean = MeanSpectrum(LABELS, FIRST, np.zeros(3), np.array([450.0, np.nan, 650.0]))
     assert mean.slope.tolist() == pytest.approx([0.003, 0.0, 0.003])

@@ -36,25 +36,16 @@ def found(*lit, darks=(), period=1):
     return scale and scale.counts
 
 
-@pytest.mark.parametrize("darks", [True, False])
 @pytest.mark.parametrize(
     ("white", "panel"),
     [(4200 * SHADE, TEXTURE), (3800 * SHADE, PATCHES), (3000 * SHADE, GOLD), (3600 + 0 * SHADE, PATCHES)],
-    ids=["white full but for its corners", "its middle full", "gold full", "the white full but for its noise"],
 )  # fmt: skip
-def test_a_hard_end_is_found_from_one_shot_of_each(white, panel, darks):
-    some = [dark()] if darks else []
-    assert found(frames(3000 * panel), frames(white, even=True), darks=some) == FULL
+def test_a_hard_end_is_found_from_one_shot_of_each(white, panel):
+    for some in ([], [dark()]):
+        assert found(frames(3000 * panel), frames(white, even=True), darks=some) == FULL
 
 
-def test_twelve_bits_in_sixteen_end_where_they_end():
-    assert (
-        found(frames(3000 * PATCHES, full=4095), frames(9000 * SHADE, even=True, full=4095)) == 4095
-    )
-
-
-@pytest.mark.parametrize("read", [2.0, 5.0])
-@pytest.mark.parametrize(("end", "share"), [("soft", 0.99), ("wells", 0.995)])
+@pytest.mark.parametrize(("end", "share", "read"), [("soft", 0.99, 2.0), ("wells", 0.995, 5.0)])
 def test_a_full_well_is_found_by_the_noise_that_its_shots_lack(end, share, read):
     for white, panel in ((5000 * SHADE, PATCHES), (3000 * SHADE, GOLD)):
         some = {"end": end, "read": read}
@@ -74,23 +65,16 @@ def test_a_full_well_without_repeats_is_found_where_a_white_shows_the_noise_of_d
     )
 
 
-@pytest.mark.parametrize("shots", [1, 2])
-@pytest.mark.parametrize("panel", [PATCHES, TEXTURE, GOLD, np.where(GOLD > 1, 1.0, PATCHES)])
-@pytest.mark.parametrize("gain", [0.25, 0.01, 1e-9])
+@pytest.mark.parametrize(
+    ("shots", "panel", "gain"),
+    [(1, PATCHES, 0.25), (2, TEXTURE, 0.01), (1, GOLD, 1e-9), (2, GOLD, 0.25)],
+)
 def test_bright_frames_that_are_not_full_have_no_full_scale(panel, shots, gain):
     for white in (SHADE, 1 + 0 * SHADE):
         lit = frames(2600 * panel, shots, gain=gain, end="soft", full=1e9)
         even = frames(2600 * white, shots, gain=gain, end="soft", full=1e9, even=True)
         for some in ([], [dark()]):
             assert found(lit, even, darks=some) is None
-
-
-def test_bands_whose_whites_are_all_exposed_to_one_level_have_no_full_scale():
-    for gain in (0.25, 1e-9):
-        some = {"gain": gain, "end": "soft", "full": 1e9}
-        whites = [frames(2600 + 0 * SHADE, even=True, **some) for _ in range(5)]
-        panels = [frames(2600 * PATCHES, **some) for _ in range(5)]
-        assert found(*whites, *panels, darks=[dark()]) is None
 
 
 def test_an_object_that_moved_between_its_shots_does_not_make_a_white_full():
@@ -150,18 +134,11 @@ def test_codes_in_the_upper_bits_and_phases_of_a_mosaic_are_no_piles():
     assert found(SceneShots([16 * panel]), SceneShots([16 * full], True), period=2) == 16 * FULL
 
 
-def test_cosmic_rays_and_hot_sensels_above_it_do_not_hide_a_full_scale():
-    white = shot(5000 * SHADE)
-    white[::31, ::29] = 65535
-    assert found(frames(3000 * PATCHES), SceneShots([white], True), darks=[dark()]) == FULL
-
-
 def test_reals_have_no_full_scale():
     assert found(SceneShots([np.minimum(SHADE, 0.9)])) is None
 
 
-@pytest.mark.parametrize("snr", [20.0, 28.0, 31.6, 40.0, 100.0])
-@pytest.mark.parametrize("shade", [0.0, 0.1, 0.4])
+@pytest.mark.parametrize(("snr", "shade"), [(20.0, 0.1), (31.6, 0.0), (100.0, 0.4)])
 def test_whites_of_much_noise_are_full_nowhere(snr, shade):
     """Of three bands: pixels that noise alone brings to the top in two of them differ little there, because they were picked so."""
     rng, side = np.random.default_rng(1), 256

@@ -40,28 +40,21 @@ def test_a_planted_bend_is_found(bend, cubic, times):
     assert found.is_sure and 0.8 < found.size / (high / low - 1) < (2 if cubic else 1.4)
 
 
-def test_a_bend_of_twelve_bits_in_files_of_sixteen_is_found():
-    """Nobody declares the bits: 5 per cent of 65,535 are most of the codes that there are."""
-    full, times = 65535.0, (0.25, 0.5, 0.9)
-    assert find_bend(points(0.08, times=times, full=full), full - BLACK).is_sure
-    assert not find_bend(points(0.0, times=times, full=full), full - BLACK).is_sure
-
-
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_linear_sensor_has_no_bend(seed):
     found = find_bend(points(seed=seed), FULL - BLACK)
     assert not found.is_sure and np.hypot(found.size, found.error) < 0.002 and found.offset == 0
 
 
-@pytest.mark.parametrize("odd", range(4))
-@pytest.mark.parametrize("factor", [0.95, 1.02, 1.33])
+@pytest.mark.parametrize(("odd", "factor"), [(0, 0.95), (3, 1.02), (1, 1.33)])
 def test_a_wrong_time_of_one_exposure_is_no_bend(odd, factor):
     really = [t * (factor if i == odd else 1.0) for i, t in enumerate(TIMES)]
     assert not find_bend(points(really=really), FULL - BLACK).is_sure
 
 
-@pytest.mark.parametrize("flicker", [0.01, 0.03])
-@pytest.mark.parametrize("times", [TIMES, (0.25, 0.5, 1.0), (0.25, 1.0)])
+@pytest.mark.parametrize(
+    ("flicker", "times"), [(0.01, TIMES), (0.03, (0.25, 0.5, 1.0)), (0.03, (0.25, 1.0))]
+)
 def test_a_lamp_that_flickers_is_neither_bend_nor_offset(flicker, times):
     light = 1 + flicker * np.random.default_rng(4).standard_normal(len(times))
     found = find_bend(points(times=times, really=[*(light * times)]), FULL - BLACK)
@@ -80,7 +73,3 @@ def test_a_dark_of_another_temperature_is_an_offset(bend, times):
 
 def test_a_response_that_bends_at_its_dark_end_has_an_offset():
     assert -7 < find_bend(points(toe=6.0), FULL - BLACK).offset < -2
-
-
-def test_a_shutter_that_is_late_is_no_bend():
-    assert not find_bend(points(really=[t + 0.01 for t in TIMES]), FULL - BLACK).is_sure

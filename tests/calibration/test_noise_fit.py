@@ -20,14 +20,6 @@ def test_gain_and_read_noise_come_back_from_stacks(sensor, count):
     assert noise.read_variance == pytest.approx(sensor.read**2 + 1 / 12, rel=0.03)
 
 
-def test_darks_clipped_at_zero_do_not_pull_the_read_noise_down(sensor):
-    rng = np.random.default_rng(2)
-    dark, icon = (average(sensor.shots(ramp() * s, 5, rng, black=0)) for s in (0, 0.2))
-    assert dark.black.mean() > 0.5
-    noise = fit_noise([dark, icon], dark)
-    assert noise.read_variance == pytest.approx(sensor.read**2, rel=0.15)
-
-
 def test_few_pixels_of_very_unlike_signal_show_their_noise():
     """The white of a narrow scan: 120 samples of 6 bands, of which the last has a fiftieth of the light."""
     rng, gain, read = np.random.default_rng(6), 0.5, 4.0

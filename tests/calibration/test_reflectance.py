@@ -108,13 +108,6 @@ def test_defects_movement_saturation_and_gaps_are_flagged():
     assert lost.flags[5, 5, 0] & levkas.Flag.DEFECT and np.isfinite(lost.values[5, 5, 0])
 
 
-def test_arrays_of_a_database_are_taken_as_arrays():
-    xarray = pytest.importorskip("xarray")
-    raw, white = GREY, 2 * GREY
-    cube = levkas.calibrate(xarray.DataArray(raw), 0, [xarray.DataArray(white)])
-    np.testing.assert_array_equal(cube.values[..., 0], 0.5)
-
-
 def test_no_input_is_changed():
     given = shots(0.5, 2, 3), shots(0, 2, 1), shots(1.0, 2, 2)
     before = [[frame.copy() for frame in part] for part in given]

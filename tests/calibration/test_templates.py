@@ -24,18 +24,6 @@ def test_five_shots_with_one_clipped_are_flagged_though_their_mean_is_not():
     assert template.saturated.tolist() == [[False, True], [False, False]]
 
 
-def test_one_shot_at_black_is_flagged():
-    shots = [np.full((1, 2), 3, np.uint8), np.array([[0, 3]], np.uint8)]
-    assert average(shots).black.tolist() == [[True, False]]
-    assert not average(shots, black_clip=None).black.any()
-
-
-def test_one_shot_has_no_variance():
-    template = average([np.ones((2, 2), np.uint16)])
-    assert template.variance is None
-    assert template.count == 1
-
-
 def test_large_codes_keep_their_variance():
     # Σx² in single precision would lose it: 65000² needs 33 bits.
     shots = [np.full((1, 1), value, np.uint16) for value in (65000, 65002) * 25]

@@ -6,7 +6,7 @@ It shares no line and no constant with the package, so that neither can lean on 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -37,6 +37,8 @@ class Habits:
     shift: int = 1
     curve: float = 0.0
     """Share of the signal that is lost where it reaches 4095 counts: y = x − curve x² / 4095."""
+    response: Callable[[np.ndarray], np.ndarray] | None = None
+    """What the sensor makes of counts of light, shot noise and all."""
     current: float = 0.0
     """Counts a second of dark current."""
     wander: float | tuple[float, ...] = 0.0
@@ -74,7 +76,6 @@ class Habits:
     stop: tuple[float, float] | None = None
     """f-number of white and object, written into the files; counts follow."""
     seed: int = 1
-    extra: dict[str, object] = field(default_factory=dict)
 
 
 def tones(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -119,6 +120,7 @@ class Camera:
         observed = observed + habits.stray * spread
         counts = habits.light * lamp * seconds * observed * self.response + habits.current * seconds
         counts = habits.gain * self.rng.poisson(counts / habits.gain)
+        counts = counts if habits.response is None else habits.response(counts)
         counts = factor * np.minimum(counts - habits.curve * counts**2 / 4095, habits.full)
         level = habits.black if black is None else black
         raw = counts + level + self.phase + self.offset
