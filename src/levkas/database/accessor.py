@@ -461,7 +461,7 @@ def _positions(array: xarray.DataArray, whole: xarray.DataArray, axis: str) -> A
     places = whole.get_index(axis).get_indexer(np.ravel(known.values)).reshape(known.shape)
     if (places < 0).any():
         raise ValueError(f"the coordinate {axis} of this array is not that of the layer's pixels")
-    steps = np.unique(np.diff(places)) if known.dims == (axis,) else ()
+    steps = np.unique(np.diff(places)) if known.dims == (axis,) else np.empty(0, int)
     if len(steps) == 1 and steps[0] > 0:  # by which fewer pixels are read than by a list
         return slice(int(places[0]), int(places[-1]) + 1, int(steps[0]))
     return xarray.DataArray(places, dims=known.dims) if known.dims else int(places)

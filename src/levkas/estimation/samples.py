@@ -150,10 +150,11 @@ class SampleSource:
                 )
             )
         rows, columns = (places * step for places in np.nonzero(good))
-        responses, spectra = (side_by_side(part, 0, good) for part in (lattice[1:], lattice[:1]))
-        assert responses is not None and spectra is not None
+        responses = side_by_side(lattice[1:], 0, good)
+        measured = side_by_side(lattice[:1], 0, good)
+        assert responses is not None and measured is not None
         return PaintSamples(
-            responses, spectra, side_by_side(lattice[1:], 2, good), side_by_side(lattice[:1], 2, good),
+            responses, measured, side_by_side(lattice[1:], 2, good), side_by_side(lattice[:1], 2, good),
             rows, columns,
         )  # fmt: skip
 
@@ -227,7 +228,8 @@ def training_of(parts: Sequence[PaintSamples]) -> Training:
     groups = [np.full(len(part), number) for number, part in enumerate(parts)]
     if len(parts) == 1:
         groups = [parts[0].blocks()]
-    return Training(*map(joined, ARRAYS[:4]), np.concatenate(groups))
+    responses, spectra, response_sigma, spectrum_sigma = map(joined, ARRAYS[:4])
+    return Training(responses, spectra, response_sigma, spectrum_sigma, np.concatenate(groups))
 
 
 # --- names ----------------------------------------------------------------------------------------

@@ -157,13 +157,13 @@ def sift(picture: np.ndarray) -> KeyPoints:
 
 def _sift(picture: np.ndarray, mask: np.ndarray | None = None, **options: Any) -> KeyPoints:
     """SIFT without the bias of a quarter pixel that OpenCV has by default."""
-    finder = cv2.SIFT_create(enable_precise_upscale=True, **options)
+    finder: Any = getattr(cv2, "SIFT_create")(enable_precise_upscale=True, **options)  # noqa: B009
     return _gather(*finder.detectAndCompute(picture, mask), width=128)
 
 
 def orb(picture: np.ndarray) -> KeyPoints:
     """ORB ([rublee2011]_), binary descriptors; in every OpenCV."""
-    finder = cv2.ORB_create(
+    finder: Any = getattr(cv2, "ORB_create")(  # noqa: B009
         nfeatures=SETTINGS.orb_points,
         fastThreshold=SETTINGS.fast_threshold,
         scaleFactor=1.2,

@@ -178,7 +178,7 @@ def measure_line_displacement(
         return None
     best = max(found, key=_deviations)
     smooth = _cubic(transform, size, step) if best.displaced else None
-    return replace(best, parts=smooth and _beside_smooth(best, transform, smooth))
+    return replace(best, parts=None if smooth is None else _beside_smooth(best, transform, smooth))
 
 
 LINES: tuple[Lines, ...] = ("rows", "columns")

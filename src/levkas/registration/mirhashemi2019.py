@@ -106,7 +106,7 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
         declared = declared_map(name, align, known)
         hand = request.given.get(name, ManualPoints())
         found[name] = _register_sensor(
-            ours, SensorPicture(*grey(images), inside and tuple(inside)), options, hand,
+            ours, SensorPicture(*grey(images), None if inside is None else tuple(inside)), options, hand,
             share=area.share_of(request.layer),
             mask=area.compared if request.outline is not None else None, declared=declared,
         )  # fmt: skip

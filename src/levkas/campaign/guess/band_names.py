@@ -101,13 +101,13 @@ def mark_bands(
         if same := next((c for c in columns if c.values in known), None):
             marked |= _marked(same, cluster, tokens, *known[same.values])
         elif not any(_has_role(c, tokens) for c in cluster) and (
-            column := next((c for c in columns if _may_be_bands(c, cluster, sizes, samples)), None)
+            likely := next((c for c in columns if _may_be_bands(c, cluster, sizes, samples)), None)
         ):
-            files = tuple(c for one in column.sets for c in one.values())
-            questions.append(Question(files, column.values))
+            files = tuple(c for one in likely.sets for c in one.values())
+            questions.append(Question(files, likely.values))
             if undecided_as_bands:
-                kind = "wavelength" if _are_numbers(column.values) else "band"
-                marked |= _marked(column, cluster, tokens, kind, "")
+                role = "wavelength" if _are_numbers(likely.values) else "band"
+                marked |= _marked(likely, cluster, tokens, role, "")
     return marked, questions
 
 

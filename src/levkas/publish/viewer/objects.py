@@ -370,7 +370,7 @@ def _say_made_of(attrs: dict[str, Any]) -> dict[str, Any]:
 
 def _centroids(pages: TiffPages) -> list[float]:
     """Return the centroids that the tag of wavelengths holds, nm; NaN where it numbers the bands."""
-    centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), [])
+    centres: Any = next((t for t in pages.tags(WAVELENGTHS) if t is not None), [])
     known = np.atleast_1d(np.asarray(centres, float)).tolist()
     count = len(pages)
     numbered = len(known) != count or known == list(range(count))

@@ -271,7 +271,9 @@ def _unknown_bands(bands: Sequence[Band], reference: ChartReference | None) -> l
     if reference is None:
         return []
     nm = np.array([band.wavelength for band in bands], float)
-    labels = [bands[i].label for i in np.flatnonzero(np.isfinite(nm) & ~reference.covers(nm))]
+    labels = [
+        bands[i].label for i in np.flatnonzero(np.isfinite(nm) & ~reference.covers(nm)).tolist()
+    ]
     if not labels:
         return []
     return [
