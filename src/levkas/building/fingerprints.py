@@ -254,9 +254,6 @@ def of_resampling(
     }
     if default:
         prints["layer under the default setup"] = default
-    camera = campaign.cameras[capture.camera]
-    if camera.level_tiles:
-        prints[f"cameras.{camera.name}.level_tiles"] = True
     prints |= {**_grid(campaign), **_credits(campaign, capture.object)}
     prints |= _centroids(campaign, capture, hashes)
     prints[f"objects.{capture.object}.size_mm"] = size_of(campaign, capture.object)

@@ -274,49 +274,6 @@ class Seams:
         for name, value in found.items():
             kept[name] = kept.get(name, 0.0) + value
 
-    def levelling_gains(self, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """Return the factor of every part, (bands,), under which parts differ least where they meet; their geometric mean is 1.
-
-        Least squares of the logarithms of the ratios at all seams, weighted by their pixels.
-
-        Examples
-        --------
-        Three parts in a row, each 2 % brighter than the one before:
-
-        >>> step = {"pixels": np.array([9.0]), "difference": np.array([0.02]), "value": np.array([1.01])}
-        >>> seams = Seams(("1",), {("a", "b"): step, ("b", "c"): step})
-        >>> {n: round(float(g[0]), 3) for n, g in seams.levelling_gains(["a", "b", "c"]).items()}
-        {'a': 1.02, 'b': 1.0, 'c': 0.98}
-        """
-        from scipy.sparse import coo_matrix, identity
-        from scipy.sparse.linalg import spsolve
-
-        place = {name: i for i, name in enumerate(names)}
-        pairs = sorted(self.sums)
-        first, second = (np.array([place[pair[k]] for pair in pairs], int) for k in (0, 1))
-        logs = np.zeros((len(names), len(self.labels)))
-        for band in range(len(self.labels)):
-            count, apart, value = (
-                np.array([self.sums[pair][key][band] for pair in pairs])
-                for key in ("pixels", "difference", "value")
-            )
-            with np.errstate(divide="ignore", invalid="ignore"):
-                ratio = np.log((value + apart / 2) / (value - apart / 2))
-            weight = np.where(np.isfinite(ratio), count, 0.0)
-            ratio = np.where(weight > 0, ratio, 0.0)
-            rows = np.concatenate([first, second, first, second])
-            columns = np.concatenate([first, second, second, first])
-            terms = np.concatenate([weight, weight, -weight, -weight])
-            normal = coo_matrix((terms, (rows, columns)), (len(names), len(names)))
-            # What no seam says is 1: the level of all parts, and of those that meet no other.
-            level = identity(len(names)) * max(weight.max(initial=0.0), 1.0) * 1e-9
-            right = np.zeros(len(names))
-            np.add.at(right, first, weight * ratio)
-            np.add.at(right, second, -weight * ratio)
-            solved = spsolve((normal + level).tocsc(), right)
-            logs[:, band] = solved - solved.mean()
-        return {name: np.exp(logs[i]) for name, i in place.items()}
-
     def records(self) -> list[dict[str, Any]]:
         """Return what was found of every pair, JSON-ready.
 

@@ -102,7 +102,6 @@ def calibrate(
             for tile in capture.tiles
         )
         folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
-        level_tiles = campaign.cameras[capture.camera].level_tiles
         return TiledCapture(
             capture,
             places,
@@ -111,7 +110,6 @@ def calibrate(
             tiles,
             notes,
             streamed=streamed,
-            level_tiles=level_tiles,
         )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
@@ -204,7 +202,6 @@ def load_calibrated(
     if capture.tiles:
         folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
         streamed = _streamed_tiles(capture, campaign)
-        level_tiles = campaign.cameras[capture.camera].level_tiles
         return TiledCapture(
             capture,
             places,
@@ -212,7 +209,6 @@ def load_calibrated(
             mosaics,
             notes=dict(notes),
             streamed=streamed,
-            level_tiles=level_tiles,
         )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import nan, prod
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,7 @@ from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
@@ -112,8 +112,6 @@ class Resampled:
         Of the noise of neighbours, `neighbour_correlation`; None where noise is not known.
     seams : Seams or None
         Of tiles: what they differ by, of the rows that have passed.
-    levelled : dict of tile to ndarray, (bands,)
-        The gains of tiles, where they were asked for.
     """
 
     rows: Cube | CubeRows
@@ -121,7 +119,6 @@ class Resampled:
     white: float | None
     correlation: np.ndarray | None = None
     seams: Seams | None = None
-    levelled: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFrame) -> Resampled:
@@ -130,8 +127,6 @@ def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFram
     What is held whole is interpolated now; rows of a scan are when they are written.
     """
     size, default, maps = target.size, target.default, target.maps
-    if isinstance(native, TiledCapture) and native.level_tiles:
-        native.level(maps, size)
     gains = native.setup_gains(default, maps) if default else None
     rows = native.on_grid(maps, size, spool=frame.places.kept)
     correlation = None
@@ -139,8 +134,7 @@ def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFram
         correlation = native.noise_correlation(maps, size)
     statistics = LayerStatistics(default, gains, native.thinning)
     seams = native.seams if isinstance(native, TiledCapture) else None
-    levelled = native.gains if isinstance(native, TiledCapture) else {}
-    return Resampled(rows, statistics, native.white, correlation, seams, levelled)
+    return Resampled(rows, statistics, native.white, correlation, seams)
 
 
 def write_resampled(
@@ -175,17 +169,6 @@ def write_resampled(
         notes["seams"] = made.seams.records()
         where = f"{target.capture.object}/{target.capture.layer}"
         warnings = tuple(f"{where}: {text}" for text in describe_steps(notes["seams"]))
-        if made.levelled:
-            labels = [band.label for band in rows.bands]
-            notes["gains"] = {
-                tile: dict(zip(labels, gain.round(6).tolist(), strict=True))
-                for tile, gain in made.levelled.items()
-            }
-            found = 100 * (np.stack(list(made.levelled.values())) - 1)
-            warnings += (
-                f"{where}: tiles are levelled by gains of {found.min():+.2f} to {found.max():+.2f} %, as `level_tiles` asks: "
-                "what they differ by is hidden, not explained",
-            )
         notes["warnings"] = list(warnings)
     return Written(files, notes, warnings=warnings)
 

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from levkas.stages.capture_statistics import DefaultLayer
     from levkas.stages.shared_noise import Mosaic
 
-LEVELLED_STEP = 4
-"""Grid px between the pixels that gains are found from: a seam 16 px wide has four."""
 BLOCK_SAMPLES = 6_000_000
 """Values of the grid that are joined at a time; with two tiles about each, and flags and sigma, 0.2 GB."""
 MOST_ROWS = 128
@@ -108,10 +106,6 @@ class TiledCapture:
         Tiles that are passes of a line scanner and too large to be held.
     seams : Seams or None
         What tiles differ by where they meet, of the rows that were joined.
-    level_tiles : bool
-        Whether tiles are to be levelled.
-    gains : dict of tile to ndarray, (bands,)
-        By which they are.
     """
 
     capture: Capture
@@ -123,8 +117,6 @@ class TiledCapture:
     placement: Placement | None = None
     streamed: frozenset[str] = frozenset()
     seams: Seams | None = None
-    level_tiles: bool = False
-    gains: dict[str, np.ndarray] = field(default_factory=dict)
     factor: ClassVar[int] = 1
     white: ClassVar[float | None] = None
     is_streamed: ClassVar[bool] = True
@@ -316,17 +308,6 @@ class TiledCapture:
         maps = dict.fromkeys([band.label for band in self.bands], Affine.identity())
         yield "", self.on_grid(maps, self.placed.size)
 
-    def level(self, maps: Mapping[str, Transform], size: tuple[int, int]) -> None:
-        """Find the gains of tiles from every `LEVELLED_STEP`-th pixel a side where they meet; they are joined with them from now on."""
-        self.gains = {}
-        step = LEVELLED_STEP
-        coarse = {label: Composed(Affine.of_box(0, 0, step), one) for label, one in maps.items()}
-        joiner = _Joiner(self, coarse, (max(size[0] // step, 1), max(size[1] // step, 1)))
-        joiner.require_memory()
-        for start, stop in joiner.blocks():
-            joiner.rows(start, stop)
-        self.gains = joiner.seams.levelling_gains([tile.name for tile in joiner.tiles])
-
     def setup_gains(self, default: DefaultLayer, maps: Mapping[str, Transform]) -> np.ndarray:
         """Return the gains of this setup over the default one, by band, from some rows over the layer."""
         height, width, _ = default.values.shape
@@ -493,10 +474,6 @@ class _Joiner:
         variance = np.concatenate([a[2] for a in arrays], axis=2) if self.has_sigma else None
         first = tile.maps[self._source.bands[0].label]
         depth = depth_in_frame(first, tile.size, tile.box, (low, high))
-        if tile.name in self._source.gains:
-            gain = self._source.gains[tile.name].astype(np.float32)
-            values = values * gain
-            variance = None if variance is None else variance * gain**2
         missing = (low - start, stop - high)
         if any(missing):
             wide = (missing, (0, 0), (0, 0))

@@ -428,10 +428,10 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
         yield Problem("E_KEY", "files is required", field=f"{where}.files")
     for text in camera.files:
         yield from check_pattern(f"{where}.files", text, camera.kind)
-    for key, stated in (("positions", camera.positions), ("level_tiles", camera.level_tiles)):
-        if stated and not camera.has_tiles:
-            expected = "{tile}, or {row} and {column}, in `files`"
-            yield value_problem(f"{where}.{key}", "the camera has no tiles", stated, expected)
+    if camera.positions and not camera.has_tiles:
+        expected = "{tile}, or {row} and {column}, in `files`"
+        message = "the camera has no tiles"
+        yield value_problem(f"{where}.positions", message, camera.positions, expected)
     yield from _wavelengths(where, camera)
     mosaic = camera.pattern if camera.traits.bands_in == "pattern" else None
     yield from _channels(where, mosaic, camera.bands)

@@ -39,6 +39,7 @@ GONE = {
     "registration.starts": IN_A_FILE,
     "cameras.*.registration.starts": IN_A_FILE,
     "cameras.*.registration.joint": ALONE,
+    "cameras.*.level_tiles": "Leave it out: steps between tiles are measured and shown; mend the light or the white.",
     "cameras.*.stray_light": "Nothing takes stray light off: state it as uncertainty = { stray_light = 0.01 }.",
 }
 """Keys that Levkas had once, a name of the campaign's as `*`, and what to write in their place."""

@@ -250,7 +250,6 @@ class CameraKeys(Table):
     exposures: Literal["one", "best", "merge"] = "one"
     manifest: PathText | None = None
     positions: PathText | None = None
-    level_tiles: Switch = False
     sensors: tuple[SensorKeys, ...] = ()
     scan: Literal["push-broom", "mirror"] | None = None
     overrule: Names = ()
