@@ -111,7 +111,7 @@ class RemoteStore:
             data = bytes(self.objects.get_range(name, start=start, end=stop))
             if len(data) != stop - start:
                 raise EOFError(f"{len(data)} bytes of {stop - start}")
-            return data
+        return data
 
     @contextmanager
     def requesting(self, name: str) -> Iterator[None]:
