@@ -10,10 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-import typer.main
 
-from levkas.cli import app
-from levkas.cli.output import path_or_address
 from levkas.core.cube import Band, Cube
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
@@ -40,29 +37,14 @@ for line in lines:
 """
 
 
-def with_address():
-    """Return a line for every command that takes the address of a database."""
-    for name, command in typer.main.get_command(app).commands.items():
-        needed = [p for p in command.params if p.param_type_name == "argument" and p.required]
-        if any(p.type_descriptor.parameter_info.parser is path_or_address for p in needed):
-            yield name, *[URL] * len(needed), *(["--for", "envi"] if name == "export" else [])
-
-
-REMOTE = [*with_address()]
 CASES = [
-    *(("remote", line, True) for line in REMOTE),
+    *(("remote", (name, *arguments), True) for name, *arguments in (
+        ("validate", URL), ("evaluate", URL), ("map", URL, "icon"), ("agree", URL, URL), ("export", URL, "--for", "envi"))),
     ("boto3", ("validate", STORE), True),
-    *(
-        (missing, ("export", "DATABASE", "--for", form, "-o", f"{missing}-{form}"), form in needing)
-        for missing, needing in {"export": ("netcdf", "photoshop"), "h5py": ("netcdf",)}.items()
-        for form in ("netcdf", "photoshop", "envi", "qgis")
-    ),
-    *(
-        ("export", line, True)
-        for line in (
-            ("look", "CUBES"), ("build", "CUBES"), ("chart", "CUBES/raw/icon.h5"),
-        )
-    ),
+    *(("export", ("export", "DATABASE", "--for", form, "-o", f"out-{form}"), needs)
+      for form, needs in (("netcdf", True), ("photoshop", True), ("envi", False))),
+    ("h5py", ("export", "DATABASE", "--for", "netcdf", "-o", "h5py-netcdf"), True),
+    *(("export", line, True) for line in (("look", "CUBES"), ("build", "CUBES"), ("chart", "CUBES/raw/icon.h5"))),
     *((extra, ("validate", "DATABASE"), False) for extra in EXTRAS),
 ]  # fmt: skip
 
@@ -116,13 +98,3 @@ def test_a_command_without_an_extra_says_what_to_install(run, missing, line, nee
     assert code == (1 if needs else 0), output
     if needs:
         assert f"levkas[{ALONE.get(missing, missing)}]" in output
-
-
-def test_every_extra_that_a_command_needs_is_asked_of():
-    assert {"validate", "export", "map", "agree", "evaluate"} <= {line[0] for line in REMOTE}
-    assert set(PYPROJECT["project"]["optional-dependencies"]) - set(EXTRAS) <= {
-        "test",
-        "lint",
-        "peers",
-        "docs",
-    }
