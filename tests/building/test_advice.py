@@ -71,57 +71,16 @@ def test_an_x_trans_raw_is_read_by_its_own_pattern_and_built_to_the_planted_trut
     assert np.abs(error.mean((0, 1))).max() < 2e-4 and error.std() < 4e-3
 
 
-def write_bands(folder, levels, dtype=np.uint16):
-    rng = np.random.default_rng(1)
-    for target, level in levels.items():
-        for wavelength in (500, 600, 700):
-            codes = rng.normal(level, 2, (64, 64)).clip(0)
-            tifffile.imwrite(folder / f"{target}_{wavelength}nm.tif", codes.astype(dtype))
-
-
-@pytest.mark.parametrize(
-    ("levels", "dtype", "found"),
-    [
-        ({"dark": 10, "white": 200, "panel": 90}, np.uint8, "9 files"),
-        ({"dark": 60, "white": 9000, "panel": 5000}, np.uint16, "6 files"),
-    ],
-)
-def test_wrong_bits_are_said_once_with_the_number_of_files(tmp_path, levels, dtype, found):
-    write_bands(tmp_path, levels, dtype)
-    report = summarise(
-        build(campaign(tmp_path, "bands", "{target}_{wavelength}nm.tif", "bits = 12"))
-    )
-    (problem,) = report.problems
-    assert problem.code == "E_BITS" and found in problem.message
-
-
-def template(values, saturation=np.inf):
-    values = np.asarray(values, np.float32)
-    return Template(values, None, 1, values >= saturation, values <= 0)
-
-
-def refusal(white, level, labels):
-    with pytest.raises(CalibrationRefused) as refused:
-        check_white(white, np.float32(level), None, labels)
-    (problem,) = refused.value.problems
-    return problem
-
-
-def test_exchanged_dark_and_white_of_many_bands_are_one_refusal_that_says_so():
-    labels = [f"{w} nm" for w in range(400, 1001, 50)]
-    problem = refusal(template(np.full((20, 30, 13), 60.0)), 2600, labels)
-    assert problem.code == "E_WHITE_DARK"
-    some = np.full((20, 30, 13), 2600.0)
-    some[..., 3:5] = 60
-    problem = refusal(template(some), 64, labels)
-    assert "550 nm, 600 nm" in problem.message
-
-
 def test_a_white_whose_codes_go_on_above_the_saturation_is_of_another_mode():
-    ramp = np.linspace(4000, 15000, 600).reshape(20, 30)
-    problem = refusal(template(ramp, 4095), 64, ["550 nm"])
-    clipped = refusal(template(np.minimum(ramp, 4095), 4095), 64, ["550 nm"])
-    assert problem.code == clipped.code == "E_WHITE_SATURATED" and problem.fix != clipped.fix
+    ramp, fixes = np.linspace(4000, 15000, 600, dtype=np.float32).reshape(20, 30), set()
+    for values in (ramp, np.minimum(ramp, 4095)):
+        white = Template(values, None, 1, values >= 4095, values <= 0)
+        with pytest.raises(CalibrationRefused) as refused:
+            check_white(white, np.float32(64), None, ["550 nm"])
+        (problem,) = refused.value.problems
+        assert problem.code == "E_WHITE_SATURATED"
+        fixes.add(problem.fix)
+    assert len(fixes) == 2
 
 
 @pytest.mark.slow

@@ -32,13 +32,7 @@ from levkas.registration.line_correction import LineCorrection, find_correction
 from levkas.registration.line_displacement import LineDisplacement, measure_line_displacement
 from levkas.registration.local_shifts import WindowShifts, highpass
 from levkas.registration.manual_points import ManualPoints
-from levkas.registration.marks import (
-    Marks,
-    compare_marks,
-    confirmed_places,
-    white_noise,
-    whiteness,
-)
+from levkas.registration.marks import Marks, compare_marks, confirmed_places, white_noise, whiteness
 from levkas.registration.measured_bands import chromatic_of_all, is_smooth_in_wavelength
 from levkas.registration.model_selection import SelectedModel, SelectionTerms
 from levkas.registration.orientation_correlation import match_blocks

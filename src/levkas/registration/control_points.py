@@ -13,8 +13,8 @@ builds put an integer id after `active`. Coordinates are physical units of the p
 no calibration, with the centre of the first pixel at 0 (ImgLib2). A point that was set in one picture
 only has ``Infinity`` in the other and is left out. Source: ``LandmarkTableModel`` of https://github.com/saalfeldlab/bigwarp.
 
-*QGIS* (`.points`), versions 1 to 3: a line ``#CRS: …`` (since 3.24), a header ``mapX,mapY,sourceX,sourceY,enable,dX,dY,residual``
-(before 3.24 ``pixelX,pixelY``; the oldest files have none, or tabs between the columns), then a row a point.
+*QGIS* (`.points`), versions 2 and 3: a line ``#CRS: …`` (since 3.24), a header ``mapX,mapY,sourceX,sourceY,enable,dX,dY,residual``
+(before 3.24 ``pixelX,pixelY``), then a row a point.
 The source is the picture to register, in pixels whose corners are integers, rows negative; the map is the reference, with the same
 frame. A file whose map is a land survey is refused. Sources: https://github.com/qgis/QGIS/pull/46415 and /issues/33607.
 """
@@ -43,6 +43,7 @@ LARGEST_COORDINATE = 1e7
 LONGEST_LINE, LONGEST_TEXT_LINE = 4096, 4 * 4096
 #: Of a file, empty ones and comments counted: they bound the work of reading it.
 MOST_LINES = 4 * MOST_POINTS
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
 class PointsRefused(Refused):
@@ -83,9 +84,21 @@ class ControlPoints:
             "enabled": _column(self.enabled, n, True),
             "check": _column(self.check, n, False),
         }
-        problems = _faults(columns, n)
-        if problems:
-            raise PointsRefused(*problems)
+        if n > MOST_POINTS or any(len(value) != n for value in columns.values()):
+            found = ", ".join(f"{len(value)} {name}" for name, value in columns.items())
+            expected = f"as many of each, at most {MOST_POINTS}"
+            raise _refused("E_SIZE", "points do not pair up", found=found, expected=expected)
+        for name in ("reference", "target"):
+            wrong = ~np.all(np.abs(columns[name]) <= LARGEST_COORDINATE, axis=1)
+            if wrong.any():
+                row = int(wrong.argmax())
+                raise _refused(
+                    "E_VALUE",
+                    f"point {row + 1} is not a valid position",
+                    field=name,
+                    found=columns[name][row].tolist(),
+                    expected=f"finite numbers up to {LARGEST_COORDINATE:.0f}",
+                )
         for name, value in columns.items():
             value.flags.writeable = False
             object.__setattr__(self, name, value)
@@ -100,40 +113,6 @@ def _pairs(values: object) -> np.ndarray:
 
 def _column(values: Any, n: int, default: bool) -> np.ndarray:
     return np.full(n, default) if values is None else np.array(values, bool).reshape(-1)
-
-
-def _faults(columns: dict[str, np.ndarray], n: int) -> list[Problem]:
-    problems = []
-    for name, value in columns.items():
-        if len(value) != n:
-            problems.append(
-                Problem(
-                    "E_SIZE",
-                    "the numbers of points differ",
-                    field=name,
-                    found=len(value),
-                    expected=n,
-                )
-            )
-    if n > MOST_POINTS:
-        problems.append(
-            Problem("E_SIZE", "too many points", found=n, expected=f"at most {MOST_POINTS}")
-        )
-    for name in ("reference", "target"):
-        points = columns[name]
-        wrong = ~np.all(np.abs(points) <= LARGEST_COORDINATE, axis=1)
-        if wrong.any():
-            row = int(np.flatnonzero(wrong)[0])
-            problems.append(
-                Problem(
-                    "E_VALUE",
-                    f"point {row + 1} is not a valid position",
-                    field=name,
-                    found=points[row].tolist(),
-                    expected=f"finite numbers up to {LARGEST_COORDINATE:.0f}",
-                )
-            )
-    return problems
 
 
 # --- text files, each refused where it stands
@@ -159,14 +138,14 @@ def decode(data: bytes) -> str:
         raise unreadable(str(error), "text in UTF-8") from error
 
 
-def rows(text: str, delimiter: str = ",") -> list[list[str]]:
+def rows(text: str) -> list[list[str]]:
     """Split a table into its rows that hold anything.
 
     Raises PointsRefused where a line is too long, or there are more rows than points may be.
     """
     table: list[list[str]] = []
     try:
-        for row in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter):
+        for row in csv.reader(io.StringIO(text, newline="")):
             if len(table) > MOST_POINTS + 100:
                 raise unreadable("more rows", f"at most {MOST_POINTS} points")
             if sum(map(len, row)) > LONGEST_LINE and not row[0].startswith("#"):
@@ -264,27 +243,18 @@ def _read_bigwarp(data: bytes) -> ControlPoints:
 
 QGIS_SCALE, QGIS_CENTRE = (1.0, -1.0), (0.5, -0.5)
 """Of x and y, and where the centre of the first pixel lies."""
-_TITLE = re.compile(rb"^[ \t]*\"?map_?x\"?[ \t]*[,;\t ]", re.IGNORECASE | re.MULTILINE)
-"""Nothing in it crosses a line: thousands of empty ones would be looked through from each of them."""
 
 
 def _is_qgis(data: bytes) -> bool:
-    start = data[:65536].lstrip(b"\xef\xbb\xbf")
-    return start.startswith(b"#CRS") or _TITLE.search(start) is not None
+    start = data[:4096].removeprefix(BYTE_ORDER_MARK)
+    return start.startswith(b"#CRS") or is_header(start, ("mapX", "mapY"))
 
 
 def _read_qgis(data: bytes) -> ControlPoints:
     """Read points; source is the target, map the reference."""
-    text = decode(data)
-    lines = [line for line in text.splitlines() if line.strip()]
+    lines = decode(data).splitlines()
     surveyed = any(re.match(r"#CRS:\s*\S", line) for line in lines[:1])
-    body = [line for line in lines if not line.startswith("#")]
-    separator = next((s for s in (",", ";", "\t") if body and s in body[0]), None)
-    if body and separator is None:
-        body, separator = [",".join(line.split()) for line in body], ","
-    table = rows("\n".join(body), separator or ",")
-    if table and table[0][0].strip().lower().replace("_", "") == "mapx":
-        table = table[1:]
+    _, *table = rows("\n".join(line for line in lines if not line.startswith("#"))) or [[]]
     values, enabled = [], []
     for line, row in enumerate(table, start=1):
         if len(row) < 4:
@@ -312,7 +282,7 @@ KINDS = {
 
 def is_header(data: bytes, names: Collection[str]) -> bool:
     """Return whether the first line of a file names these columns."""
-    first = data[:4096].removeprefix(b"\xef\xbb\xbf").split(b"\n")[0].decode("utf-8", "replace")
+    first = data[:4096].removeprefix(BYTE_ORDER_MARK).split(b"\n")[0].decode("utf-8", "replace")
     return set(names) <= {cell.strip().strip('"') for cell in first.split(",")}
 
 
@@ -329,8 +299,6 @@ def sniff(data: bytes) -> str:
                 return name
         except PointsRefused:
             continue
-    if _is_old_qgis(data):
-        return "qgis"
     raise _refused(
         "E_UNREADABLE",
         "the format of these control points is unknown",
@@ -338,20 +306,6 @@ def sniff(data: bytes) -> str:
         expected="a CSV of Levkas or BigWarp, or points of QGIS",
         fix="Write a CSV with the columns reference_x,reference_y,x,y; the centre of the first pixel is 0, 0.",
     )
-
-
-def _is_old_qgis(data: bytes) -> bool:
-    """Return whether rows are the five to eight numbers of an old `.points` file, y upwards.
-
-    >>> _is_old_qgis(b"10.5 -3 99.25 -18 1\\n")
-    True
-    """
-    words = data[:4096].split(b"\n")[0].replace(b",", b" ").split()
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        return False
-    return 5 <= len(values) <= 8 and values[3] <= 0
 
 
 def parse_points(data: bytes) -> ControlPoints:

@@ -77,11 +77,7 @@ class KeyPoints:
 
 
 def find_key_points(
-    picture: np.ndarray,
-    valid: np.ndarray,
-    *,
-    detector: str = "sift",
-    limit: int = SETTINGS.limit,
+    picture: np.ndarray, valid: np.ndarray, *, detector: str = "sift", limit: int = SETTINGS.limit
 ) -> KeyPoints:
     """Find key points whose neighbourhood is valid.
 

@@ -28,12 +28,7 @@ from levkas.registration.features import (
     invert_descriptors,
     mirror_descriptors,
 )
-from levkas.registration.matching import (
-    TentativeMatches,
-    match_mutually,
-    match_widely,
-    unique_rows,
-)
+from levkas.registration.matching import TentativeMatches, match_mutually, match_widely, unique_rows
 from levkas.registration.models import fit_plane
 from levkas.registration.orientation_correlation import match_by_directions, match_near
 from levkas.registration.pose_clustering import REACH, find_pose_cluster

@@ -15,12 +15,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from levkas.geometry.transforms import Transform, solve_2x2
-from levkas.registration.depth_step import (
-    ORDERS,
-    DepthStep,
-    find_depth_steps,
-    fit_with_depth_step,
-)
+from levkas.registration.depth_step import ORDERS, DepthStep, find_depth_steps, fit_with_depth_step
 from levkas.registration.models import (
     Observations,
     fit_polynomial,
@@ -255,10 +250,7 @@ class SelectedModel:
 
 
 def select_model(
-    observations: Observations,
-    terms: SelectionTerms,
-    *,
-    standing: Transform | None = None,
+    observations: Observations, terms: SelectionTerms, *, standing: Transform | None = None
 ) -> SelectedModel:
     """Return the model that predicts held-out blocks best.
 

@@ -337,9 +337,7 @@ def _linear(pose: CoarsePose, ours: ReducedPictures, theirs: ReducedPictures) ->
 
 
 def match_by_directions(
-    reference: Sequence[np.ndarray],
-    target: Sequence[np.ndarray],
-    within: np.ndarray | None = None,
+    reference: Sequence[np.ndarray], target: Sequence[np.ndarray], within: np.ndarray | None = None
 ) -> BlockMatches | None:
     """Match blocks of two cameras' pictures by the directions of edges; None where no pose stands out.
 

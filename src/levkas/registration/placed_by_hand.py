@@ -11,13 +11,7 @@ from levkas.geometry.transforms import Affine, Homography, Transform, solve_2x2
 from levkas.registration.advice import LEAST_PAIRS
 from levkas.registration.manual_points import HAND_PX, ManualPoints
 from levkas.registration.models import fit_plane
-from levkas.registration.record import (
-    HandMark,
-    Matches,
-    MatchState,
-    Sigma,
-    refusal,
-)
+from levkas.registration.record import HandMark, Matches, MatchState, Sigma, refusal
 from levkas.registration.uncertainty import SETTINGS as UNCERTAINTY
 
 PARAMETERS = {"similarity": 4, "affine": 6, "homography": 8}

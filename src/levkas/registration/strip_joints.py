@@ -332,8 +332,7 @@ def _best(overlap: float, correlation: float) -> str:
 
 
 def _apart(
-    found: str,
-    expected: str = f"an overlap with a correlation of at least {LEAST_CORRELATION}",
+    found: str, expected: str = f"an overlap with a correlation of at least {LEAST_CORRELATION}"
 ) -> RegistrationRefused:
     return refusal(
         "E_STRIPS",

@@ -22,15 +22,7 @@ from levkas.registration.advice import (
     percent,
 )
 from levkas.registration.record import Decision, Verdict
-from levkas.registration.verdict_rules import (
-    MATCHES,
-    ONLY,
-    RULES,
-    SETTINGS,
-    WINDOWS,
-    Finding,
-    Objection,
-)
+from levkas.registration.verdict_rules import MATCHES, ONLY, RULES, SETTINGS, WINDOWS, Objection
 
 
 def judge_matches(numbers: dict[str, Any]) -> Verdict:
@@ -40,9 +32,7 @@ def judge_matches(numbers: dict[str, Any]) -> Verdict:
         f"{numbers['found']} check windows that were found agree with the map; their median error is "
         f"{numbers['window_median']:.2f} px. The held-out error is {numbers['held_out_median']:.2f} px."
     )
-    objections = [
-        (one.reason, one.next_step, one.decision) for one in objections_to(numbers, MATCHES)
-    ]
+    objections = objections_to(numbers, MATCHES)
     objections += _outside_of_outline(1 - object_share(numbers))
     verdict = _decide(objections, (praise,), numbers, _unchecked(numbers))
     return replace(verdict, outside=1 - object_share(numbers))
@@ -58,13 +48,11 @@ def judge_windows(numbers: Mapping[str, Numbers]) -> Verdict:
         is not judged.
     """
     judged = {name: n for name, n in numbers.items() if n["held_out_px"] is not None}
-    objections = []
-    for name, n in judged.items():
-        known = {"kept": n["key_points_kept"], **n, **n["verification"]}
-        objections += [
-            (_where(name) + one.reason, one.next_step, one.decision)
-            for one in objections_to(known, WINDOWS)
-        ]
+    objections = [
+        replace(one, reason=_where(name) + one.reason)
+        for name, n in judged.items()
+        for one in objections_to({"kept": n["key_points_kept"], **n, **n["verification"]}, WINDOWS)
+    ]
     praise = (_where(name) + _praise(n) for name, n in judged.items())
     unchecked = max((_unchecked({**n, **n["verification"]}) for n in judged.values()), default=0.0)
     outside = max((1 - object_share(n) for n in numbers.values()), default=0.0)
@@ -101,7 +89,7 @@ def worst_of(verdicts: Mapping[str, Verdict]) -> Verdict:
 
 
 def _decide(
-    objections: Sequence[tuple[str, str, Finding]],
+    objections: Sequence[Objection],
     praise: tuple[str, ...],
     numbers: dict[str, Any],
     unchecked: float,
@@ -110,17 +98,15 @@ def _decide(
 
     Accepted and doubtful maps list what was not checked, after the reasons for the decision.
     """
-    open_ones = [(reason, step) for reason, step, one in objections if one == "unchecked"]
-    decisions: tuple[Decision, ...] = ("refuse", "warn")
-    for decision in decisions:
-        found = [(reason, step) for reason, step, one in objections if one == decision]
-        if found:
-            listed = found if decision == "refuse" else [*found, *open_ones]
-            reasons = tuple(reason for reason, _ in listed)
-            return Verdict(decision, reasons, found[0][1], numbers, unchecked)
-    reasons = (*praise, *(reason for reason, _ in open_ones))
-    step = next((step for _, step in open_ones if step), "")
-    return Verdict("accept", reasons, step, numbers, unchecked)
+    kinds: tuple[Decision, ...] = ("refuse", "warn")
+    found = (k for k in kinds if any(one.decision == k for one in objections))
+    decision: Decision = next(found, "accept")
+    deciding = [one for one in objections if one.decision == decision]
+    open_ones = [one for one in objections if one.decision == "unchecked"]
+    listed = deciding if decision == "refuse" else [*deciding, *open_ones]
+    reasons = (*(() if deciding else praise), *(one.reason for one in listed))
+    steps = (one.next_step for one in deciding or open_ones if deciding or one.next_step)
+    return Verdict(decision, reasons, next(steps, ""), numbers, unchecked)
 
 
 def objections_to(numbers: Numbers, basis: frozenset[str]) -> list[Objection]:
@@ -153,12 +139,12 @@ def _unchecked(n: Numbers) -> float:
     return 1 - checked_share(n)
 
 
-def _outside_of_outline(outside: float) -> list[tuple[str, str, Finding]]:
+def _outside_of_outline(outside: float) -> list[Objection]:
     """Say, once for all sensors, how much of the layer lies outside the object's outline; that requires nothing."""
     if outside < LEAST_OUTSIDE:
         return []
     text = f"{percent(outside)} of the layer lies outside the object's outline and was not checked."
-    return [(text, "", "unchecked")]
+    return [Objection("unchecked", text, "")]
 
 
 def _where(name: str) -> str:

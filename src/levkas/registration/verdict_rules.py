@@ -218,9 +218,7 @@ def does_not_fold(n: Numbers) -> Objection | None:
     """Refuse a map that folds over, has no answer, or leads wholly outside."""
     if n["overlap"] == 0:
         return Objection(
-            "refuse",
-            "The map places the whole reference outside the other picture.",
-            BY_HAND,
+            "refuse", "The map places the whole reference outside the other picture.", BY_HAND
         )
     if n["folded"] == 0:
         return None

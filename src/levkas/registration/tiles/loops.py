@@ -49,8 +49,7 @@ def consistent_pairs(
         if not doubtful:
             return kept, refused
         worst = min(
-            doubtful,
-            key=lambda pair: (votes[pair][0] - votes[pair][1], weights[pair], pair),
+            doubtful, key=lambda pair: (votes[pair][0] - votes[pair][1], weights[pair], pair)
         )
         refused[worst] = min(off for edges, off in loops if worst in edges)
         kept.remove(worst)

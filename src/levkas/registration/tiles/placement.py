@@ -24,10 +24,7 @@ from levkas.registration.tiles.adjustment import (
     overlap_offsets,
 )
 from levkas.registration.tiles.loops import components, consistent_pairs, lay_along_tree
-from levkas.registration.tiles.neighbours import (
-    STAGE_SHARE,
-    similarity,
-)
+from levkas.registration.tiles.neighbours import STAGE_SHARE, similarity
 from levkas.registration.tiles.overlap_search import OverlapSearch, Pair
 from levkas.registration.tiles.tile_maps import OWN, SHARED, TileFrame, TileMaps, similar
 
