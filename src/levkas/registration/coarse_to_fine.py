@@ -461,8 +461,8 @@ class _Refinement:
         known = None
         for step in pyramid_steps(task.reference.shape, finest):
             windows = task.measure_shifts(bands, identity, self.base, step)
-            seen = has_information(fuse_windows(windows)[1]).sum()
-            if seen < FusionSettings.least_windows and step > finest:
+            usable = has_information(fuse_windows(windows)[1]).sum()
+            if usable < FusionSettings.least_windows and step > finest:
                 continue  # too little to see at this size; the initial transform stands
             selected = fit_base(
                 self.base, windows, task.by_hand.fixed, step, task.cell(step),
