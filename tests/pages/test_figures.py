@@ -7,7 +7,7 @@ import pytest
 
 from levkas.geometry.transforms import Affine
 from levkas.pages.figures import draw_trace
-from levkas.registration.outliers import RemovalTerms, clean, frame_corners
+from levkas.registration.outliers import RemovalTerms, clean
 from levkas.registration.record import Matches
 
 
@@ -86,15 +86,3 @@ def test_what_lies_outside_its_panel_is_cut():
     assert np.ptp(paths(svg, "currentColor")[0][:, 0]) > 0.25 * width / 2  # the frame stays large
     drawn = re.findall(r"<path [^>]*stroke: #999999[^>]*>", svg)
     assert drawn and all("clip-path" in one for one in drawn)
-
-
-def test_frames_of_one_size_are_drawn_one_on_the_other():
-    matches, trace = traced(0)
-    np.testing.assert_array_equal(trace.frame, frame_corners((300, 200)))
-    outline = {
-        ink: re.search(
-            r'd="([^"]*)"[^>]*stroke: ' + re.escape(ink), draw_trace(matches, trace)[0].svg
-        )[1]
-        for ink in ("var(--ref)", "currentColor")
-    }
-    assert outline["var(--ref)"] == outline["currentColor"]

@@ -10,7 +10,6 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from levkas.colour.relighting import relighting_matrix
-from levkas.core.digests import hash_tree
 from levkas.database.tiff_pages import open_pages
 from levkas.publish.viewer import spectra
 from levkas.publish.viewer.pyramid import OVERLAP_PX, TILE_PX, cut, halve, write_pyramid
@@ -112,10 +111,3 @@ def test_relit_colours_are_those_of_colour_science():
         )
         linear = spectrum.values @ relighting_matrix(wavelengths, "A")
         np.testing.assert_allclose(linear, expected @ adapted, atol=4e-3)
-
-
-def test_two_writings_of_the_viewer_give_the_same_bytes(add_viewer, tmp_path):
-    root = write_database(tmp_path / "database", {"a b#1": "A & b"})
-    first = hash_tree(add_viewer(root))
-    assert hash_tree(add_viewer(root)) == first
-    assert "viewer/objects/a b#1/index.html" in first
