@@ -151,7 +151,6 @@ def test_options_of_a_cube_or_a_database_are_refused_with_a_campaign(place):
         (["estimate", "DB", "--method", "wienr"], "wiener"),
         (["plan", "light", "BENCH", "--setup-name", "propsed"], "proposed"),
         (["plan", "exposure", "--setup", "BENCH", "--setup-name", "propsed"], "proposed"),
-        (["publish", "DB", "--check", "--analyse", "ratios"], "ratio"),
         (["simulate", "OUT", "--preset", "smal"], "small"),
         (["simulate", "OUT", "--setup", "sof"], "soft"),
     ],

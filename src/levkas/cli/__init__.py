@@ -28,7 +28,7 @@ from levkas.core.instructions import hold_instructions
 ORDER = {
     "Begin": ("doctor", "demo", "look", "plan", "simulate"),
     "Capture": ("watch",),
-    "Build": ("build", "status", "inspect", "points"),
+    "Build": ("build", "status", "inspect"),
     "Measure": ("radiometry", "chart", "evaluate", "agree", "validate"),
     "Use": ("map", "estimate", "estimate apply", "export", "publish"),
 }
