@@ -79,21 +79,6 @@ def test_a_doubtful_layer_is_accepted_in_a_persons_name_and_no_pixel_is_made_ane
     assert hash_tree(campaign / "database") == before
 
 
-def test_what_is_published_names_who_accepted_a_layer(campaign):
-    from levkas.publish import run
-
-    confirm(campaign)
-    built(campaign)
-    folder = run.summarise(run.publish(campaign, iiif=False)).output
-    assert f"accepted by {WORD[0]}, {WORD[1]}" in (folder / "README.md").read_text()
-    pages = (
-        (folder / "viewer/objects/one/index.html").read_text()
-        if (folder / "viewer").is_dir()
-        else WORD[2]
-    )
-    assert WORD[2] in pages
-
-
 def test_the_word_lapses_with_the_map_and_a_layer_that_is_registered_anew_keeps_it_without(
     campaign,
 ):

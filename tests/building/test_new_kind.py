@@ -1,6 +1,5 @@
 """A camera kind is one row and one function: the example of the docs is added and built."""
 
-import dataclasses
 import importlib
 import inspect
 import re
@@ -11,16 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tifffile
 from PIL import Image
 
 import levkas
 from levkas.building import build, summarise
-from levkas.calibration.sensor_context import SensorContext
-from levkas.calibration.sensor_notes import doubts_of
 from levkas.campaign import camera_kinds
-from levkas.campaign.discovery.find_captures import find_captures
-from levkas.readers.frames import read_facts
 from levkas.stages.sources import STAGES, files_of
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/howto/add_camera_kind.md"
@@ -68,27 +62,3 @@ def test_every_row_names_a_function_whose_change_makes_calibrated_layers_stale(k
 def test_the_function_of_the_page_lies_where_its_change_makes_layers_stale(film):
     module = camera_kinds.KINDS["film"].develop.partition(":")[0].split(".")
     assert module[1] in STAGES["calibrate"]
-
-
-def test_a_kind_that_reads_all_pages_of_a_file_has_no_warning_of_unread_ones(
-    monkeypatch, make_every_kind, tmp_path
-):
-    folder = make_every_kind(tmp_path / "campaign", ("one",), ("photo", "colour"))
-    for path in (folder / "colour").iterdir():
-        page = tifffile.imread(path)
-        tifffile.imwrite(path, np.stack([page, page]), photometric="minisblack")
-
-    def unread():
-        campaign = levkas.load_campaign(folder)
-        (capture,) = (
-            c for c in find_captures(campaign)[0] if c.camera == "colour" and c.object == "one"
-        )
-        camera, sensor = campaign.cameras["colour"], capture.sensors[0]
-        facts = read_facts(sensor.object[0].path)
-        context = SensorContext(campaign, camera, sensor, facts, None)
-        return [note for note in doubts_of(context) if "of 2 pages" in note]
-
-    assert len(unread()) == 1
-    row = dataclasses.replace(camera_kinds.KINDS["mosaic"], reads_pages=True)
-    monkeypatch.setitem(camera_kinds.KINDS, "mosaic", row)
-    assert unread() == []

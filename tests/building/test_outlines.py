@@ -10,7 +10,6 @@ from levkas.building import build, status, summarise
 from levkas.campaign.edits import Edits, EditsInvalid, write_edits
 from levkas.core.text import read_json
 from levkas.database.catalogue import read_catalogue
-from levkas.workbench.library import Library, id_of
 
 HALF = ((10.0, 10.0), (119.0, 10.0), (119.0, 189.0), (10.0, 189.0))
 WIDER = ((10.0, 10.0), (200.0, 10.0), (200.0, 189.0), (10.0, 189.0))
@@ -50,15 +49,6 @@ def test_an_outline_is_compared_within_drawn_corrected_by_hand_and_refused_by_it
     assert summarise(build(folder)).ok
     assert record_of(folder)["model"]["mask"]["outline"] == [list(corner) for corner in WIDER]
     assert record_of(folder)["verdict"]["outside"] < verdict["outside"] - 0.2
-    # The workbench knows with which outline that was registered, and draws another.
-    library = Library(folder)
-    frame = library.open(id_of("one", "infrared"))
-    registered = library.registered_with(frame)["registered_outline"]
-    assert registered == [list(corner) for corner in frame.session.outline]
-    assert frame.session.outline == WIDER and library.declared_outline(frame) == HALF
-    assert stale(folder) == set()
-    frame.session.draw(())
-    assert "register" in stale(folder)
     # One that leaves the frame is refused by the file that has it, and nothing else is.
     write_edits(folder / "edits.toml", Edits().with_outline("one", (*WIDER[:2], (900.0, 189.0))))
     (problem, *_) = [p for step in build(folder) for p in getattr(step, "problems", ())]
@@ -119,13 +109,3 @@ def test_the_grid_and_the_sampling_are_of_the_outline_that_is_drawn(tmp_path):
     write_edits(folder / "edits.toml", Edits().with_outline("icon", upper))
     entry = built()
     assert (entry.width, entry.height) == (160, 100) and np.isnan(entry.px_per_mm)
-
-
-def test_lengths_of_what_fills_its_frame_are_not_known(tmp_path):
-    folder = panel(tmp_path / "campaign")
-    full = np.random.default_rng(1).integers(20, 235, (40, 50), np.uint8)
-    cv2.imwrite(str(folder / "icon.png"), cv2.resize(full, (300, 240)))
-    report = summarise(build(folder))
-    (entry,) = read_catalogue(folder / "database")
-    assert report.ok and (entry.width, entry.height) == (300, 240) and np.isnan(entry.px_per_mm)
-    assert any("outline = [[x, y]" in warning for warning in report.warnings)

@@ -164,14 +164,6 @@ def test_a_record_that_another_build_is_writing_is_waited_for_and_then_refused(
     assert BuildRecords(*folders).why_stale(KEY, PRINTS) == ""
 
 
-def test_where_files_cannot_be_locked_records_are_kept_all_the_same(folders, monkeypatch):
-    monkeypatch.setattr(records_file, "take", lambda descriptor, shared: None)
-    records = BuildRecords(*folders)
-    assert records.why_stale(KEY, PRINTS) == ""
-    records.forget(KEY)
-    assert BuildRecords(*folders).why_stale(KEY, PRINTS) == "not yet built"
-
-
 def test_reading_makes_no_file(tmp_path):
     records = BuildRecords(tmp_path, tmp_path)
     assert records.why_stale(KEY, PRINTS) == "not yet built" and not records.recorded()
@@ -243,3 +235,11 @@ def test_two_builds_write_one_index(tmp_path):
         hashes.save()
     both = Hashes(tmp_path / NAME)
     assert both.known(tmp_path / "0") and both.known(tmp_path / "1")
+
+
+def test_where_files_cannot_be_locked_records_are_kept_all_the_same(folders, monkeypatch):
+    monkeypatch.setattr(records_file, "take", lambda descriptor, shared: None)
+    records = BuildRecords(*folders)
+    assert records.why_stale(KEY, PRINTS) == ""
+    records.forget(KEY)
+    assert BuildRecords(*folders).why_stale(KEY, PRINTS) == "not yet built"

@@ -11,7 +11,7 @@ import pytest
 
 import levkas
 from levkas.stages import sources
-from levkas.stages.sources import HERE, NUMBERS, PAGES, PRODUCTS, STAGES, code_version, files_of
+from levkas.stages.sources import HERE, NUMBERS, PAGES, PRODUCTS, STAGES, files_of
 
 PACKAGE = Path(levkas.__file__).parent
 WITHOUT_EFFECT = {
@@ -84,24 +84,6 @@ def test_a_changed_file_changes_the_code_of_the_stages_that_may_rest_on_it(tmp_p
     sources._hash_folder.cache_clear()
     now = {stage: sources._hash(folders, package) for stage, folders in STAGES.items()}
     assert {stage for stage in STAGES if now[stage] != before[stage]} == stages
-
-
-@pytest.mark.parametrize(
-    ("distribution", "stages"),
-    [("rawpy", {*STAGES}), ("matplotlib", {"register", "report", "camera"})],
-)
-def test_another_version_of_a_library_changes_the_stages_that_use_it(
-    monkeypatch, distribution, stages
-):
-    sources._hash.cache_clear()
-    before = {stage: code_version(stage) for stage in STAGES}
-    number = sources.library_version
-    sources._hash.cache_clear()
-    monkeypatch.setattr(
-        sources, "library_version", lambda n: "0" if n == distribution else number(n)
-    )
-    assert {stage for stage in STAGES if code_version(stage) != before[stage]} == stages
-    sources._hash.cache_clear()
 
 
 @pytest.mark.slow

@@ -209,7 +209,8 @@ def _describe(task, campaign, places, records, before):
     return Written(made, notes | {"entry": [*notes["entry"][:9], hash_file(tiff)]})
 
 
-def _report(campaign, places, records, name, captures, steps, earlier):
+def _report(build, name, captures, steps):
+    campaign, places, records, earlier = build.campaign, build.places, build.records, build.earlier
     folder = places.folder(name)
     facts = campaign.objects.get(name)
     said = {layer.name: why for layer, why in earlier.items() if layer.object == name}
@@ -222,7 +223,8 @@ def _report(campaign, places, records, name, captures, steps, earlier):
     return [folder / "report.html", folder / "object.toml"]
 
 
-def _camera(page, campaign, places, records, templates):
+def _camera(page, build, templates):
+    places, records = build.places, build.records
     path = places.output / "cameras" / page.camera / "camera.json"
     records.forget(run.page_key(page.camera))
     notes = [

@@ -108,20 +108,7 @@ def test_the_process_of_the_tests_is_held():
     assert instructions.describe_instructions()["level"] == instructions.BASELINE
 
 
-def test_libraries_that_are_loaded_are_not_held():
-    assert "numpy" in sys.modules
-    before = dict(os.environ)
-    assert not instructions.hold_instructions()
-    assert dict(os.environ) == before
-
-
 def test_the_command_line_loads_no_library_before_it_is_held():
     code = "import sys, levkas.cli; sys.exit(len({'numpy', 'cv2', 'numba'} & {*sys.modules}))"
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     assert subprocess.run([sys.executable, "-c", code], env=env).returncode == 0
-
-
-def test_sets_that_a_processor_lacks_are_not_named(monkeypatch):
-    flags = "processor : 0\nflags\t\t: sse4_2 avx f16c avx2 fma avx512f\n"
-    monkeypatch.setattr(instructions.Path, "read_text", lambda *_, **__: flags)
-    assert instructions._opencv_sets() == ["AVX", "FP16", "AVX2"]

@@ -95,8 +95,6 @@ class BuildRecords:
         Where the records are kept, beside the database and never inside it.
     output : Path
         The database; products are recorded relative to it.
-    keep_removed : bool
-        Leave what the campaign no longer has where it is.
     verify : bool
         Read every file anew, whatever is kept of its hash.
     session : Path, optional
@@ -108,11 +106,10 @@ class BuildRecords:
         folder: Path,
         output: Path,
         *,
-        keep_removed: bool = False,
         verify: bool = False,
         session: Path | None = None,
     ) -> None:
-        self.folder, self.output, self.keep_removed = folder, output, keep_removed
+        self.folder, self.output = folder, output
         self._file = folder / NAME
         self.hashes = Hashes(self._file, verify=verify, session=session)
         self._known: dict[Key, dict[str, dict[str, Any]]] = {}
@@ -161,9 +158,7 @@ class BuildRecords:
     def made_by(self, key: Key) -> set[str]:
         """Return the names of all that a stage has made, also of one that was being done anew."""
         records = (self._states(key).get(state, {}) for state in (DONE, WAS))
-        return {
-            n for record in records for part in ("products", "left") for n in record.get(part, ())
-        }
+        return {name for record in records for name in record.get("products", ())}
 
     def products_that_stand(self) -> Iterator[tuple[str, str]]:
         """Yield name and SHA-256 of every existing product of every finished stage but the catalogue."""
@@ -266,13 +261,13 @@ class BuildRecords:
         `products` stand in the database, what is kept `aside` for later stages beside it.
         """
         made, kept = self._hashed(products, self.output), self._hashed(aside, self.folder)
-        left = self.put_away_left(key, made)
+        self.put_away_left(key, made)
         before = [self._states(key).get(state, {}).get("aside", {}) for state in (DONE, WAS)]
         for name in {*before[0], *before[1]} - kept.keys():
             if _is_file(self.folder / name):
                 remove(self.folder / name)
         record = {
-            "fingerprint": fingerprint, "products": made, "left": left, "aside": kept, "notes": notes,
+            "fingerprint": fingerprint, "products": made, "aside": kept, "notes": notes,
         }  # fmt: skip
         row = _row(key, DONE, record)
         write_rows(self._file, (DROP, [key.names]), (RECORD, [row]), self.hashes.unsaved())
@@ -353,12 +348,9 @@ class BuildRecords:
 
     # --- what a stage does not make any more ----------------------------------------------------
 
-    def put_away_left(self, key: Key, made: Iterable[str]) -> list[str]:
-        """Put away what a stage has made before and does not make any more; return what stays of it."""
-        left = self.made_by(key) - {*made}
-        stays = {n for n in left if self.keep_removed and n.startswith(("charts/", "setups/"))}
-        self.put_away(left - stays)
-        return sorted(n for n in stays if _is_file(f"{self.output}{os.sep}{n}"))
+    def put_away_left(self, key: Key, made: Iterable[str]) -> None:
+        """Put away what a stage has made before and does not make any more."""
+        self.put_away(self.made_by(key) - {*made})
 
     def put_away(self, names: Iterable[str]) -> Path | None:
         """Move products out of the database, to a folder of this build; None where there are none."""
@@ -393,7 +385,7 @@ def _sound(key: Key, rows: Iterable[Sequence[Any]]) -> dict[str, dict[str, Any]]
         found[state] = {}
         if sha256 == _hash_of(key, str(text)):
             record = json.loads(text)
-            made = (n for part in ("products", "left", "aside") for n in record.get(part, ()))
+            made = (n for part in ("products", "aside") for n in record.get(part, ()))
             if all(map(stays_inside, made)):
                 found[state] = {**record, "sha256": sha256}
     return found
@@ -413,30 +405,17 @@ def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:
         return f"{name} is new{more}"
     if name not in now:
         return f"{name} is gone{more}"
-    if name.startswith("file ") or name == "code":
-        return f"{name} changed{more}"
-    if name.startswith("frame "):
-        return f"{name}{_other_use(before[name], now[name])}{more}"
-    if _is_hash(before[name]) or _is_hash(now[name]):
+    if (
+        name.startswith(("file ", "frame ", "code"))
+        or _is_hash(before[name])
+        or _is_hash(now[name])
+    ):
         return f"{name} changed{more}"
     return f"{name} {_short(before[name])} → {_short(now[name])}{more}"
 
 
 def _is_hash(value: Any) -> bool:
     return isinstance(value, str) and re.fullmatch("[0-9a-f]{8,}", value) is not None
-
-
-def _other_use(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> str:
-    """Report how the use of a file as a frame differs, by the first thing that does.
-
-    >>> _other_use([{"role": "dark"}], [{"role": "white"}])
-    ': role "dark" → "white"'
-    """
-    for one, other in zip(before, now, strict=False):
-        for key in {**one, **other}:
-            if one.get(key) != other.get(key):
-                return f": {key} {_short(one.get(key))} → {_short(other.get(key))}"
-    return f" is used {len(now)} times instead of {len(before)}"
 
 
 def _short(value: Any) -> str:

@@ -39,14 +39,12 @@ from levkas.stages.written import Written
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.building.fingerprints import Inputs
-    from levkas.building.graph import Step
+    from levkas.building.outcomes import Outcomes
     from levkas.calibration.error_sources import ErrorSource
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.campaign.discovery.file_index import FileIndex
     from levkas.core.cube import Band
-    from levkas.database.layout import Places
     from levkas.pages.budget import UncertaintyBudget
     from levkas.quality.targets.edges import EdgeTargetMeasure
     from levkas.quality.targets.measuring import ChartMeasure
@@ -98,19 +96,14 @@ def camera_pages(
     }
 
 
-def write_camera_page(
-    page: CameraPage,
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    templates: TemplateCache,
-) -> Written:
+def write_camera_page(page: CameraPage, outcomes: Outcomes, templates: TemplateCache) -> Written:
     """Write a camera's page, its description and its charts; raises Refused."""
+    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
     path = places.output / "cameras" / page.camera / "report.html"
     records.forget(page_key(page.camera))
     make_folder(path.parent)
     measured = measured_of(page, records)
-    measures, problems, files, strayed = _measured(page, campaign, places, records, templates)
+    measures, problems, files, strayed = _measured(page, outcomes, templates)
     budgets = budgets_of(page, campaign, measured, strayed)
     shown = [(s, _describe_budget(rows, page.first, measured[s])) for s, rows in budgets.items()]
     write_text(
@@ -119,7 +112,7 @@ def write_camera_page(
     described = path.parent / "camera.json"
     write_json(described, describe_camera(campaign, page.first, measured, budgets))
     files += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
-    stay = _charts_that_stay(page, campaign, places, records, files)
+    stay = _charts_that_stay(page, outcomes, files)
     files += [path for paths in stay.values() for path in paths]
     # A chart that cannot be measured is no fault of the objects: reported, not refused.
     warnings = (
@@ -131,13 +124,10 @@ def write_camera_page(
 
 
 def _charts_that_stay(
-    page: CameraPage,
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    files: Sequence[Path],
+    page: CameraPage, outcomes: Outcomes, files: Sequence[Path]
 ) -> dict[str, list[Path]]:
     """Return the files of charts that campaign.toml declares, and that this camera's frames do not show now, by their names."""
+    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
     made = {places.output / name for name in records.made_by(page_key(page.camera))}
     left = sorted(path for path in made - {*files} if path.is_file())
     setups = ("", *campaign.setups)
@@ -156,18 +146,13 @@ def _under(setup: str, strayed: Mapping[str, Mapping[str, Any]]) -> Mapping[str,
     return strayed.get(setup) or next(iter(strayed.values()), {})
 
 
-def prints_of_page(
-    page: CameraPage,
-    campaign: Campaign,
-    records: BuildRecords,
-    inputs: Inputs,
-    lost: Mapping[tuple[str, str], Step],
-) -> dict[str, Any]:
-    """Return the fingerprint of a camera's page; `lost` is how layers ended, or would, that are refused."""
+def prints_of_page(page: CameraPage, outcomes: Outcomes) -> dict[str, Any]:
+    """Return the fingerprint of a camera's page."""
+    campaign, records = outcomes.campaign, outcomes.records
     keys, first = campaign.cameras[page.camera], page.first
     prints: dict[str, Any] = {
         **made_with("camera"),
-        **_measured_in(page, records, inputs, lost),
+        **_measured_in(page, outcomes),
         "charts refused": [written(campaign, p) for p in page.refused],
     }
     for key in ("kind", "bits", "black", "saturation"):
@@ -194,16 +179,12 @@ def prints_of_charts(page: CameraPage, campaign: Campaign, records: BuildRecords
     return prints
 
 
-def _measured_in(
-    page: CameraPage,
-    records: BuildRecords,
-    inputs: Inputs,
-    lost: Mapping[tuple[str, str], Step],
-) -> dict[str, str]:
+def _measured_in(page: CameraPage, outcomes: Outcomes) -> dict[str, str]:
     """Return the calibrations that `measured_of` takes its measurements from, and what each is made of.
 
     A calibration that is to be done again is another one: what it will measure need not be known.
     """
+    records, inputs, lost = outcomes.records, outcomes.inputs, outcomes.lost
     found: dict[str, str] = {}
     known = set()
     for capture in page.captures:
@@ -272,11 +253,7 @@ def _of_camera(records: BuildRecords, key: Key) -> dict[str, dict[str, Any]]:
 
 
 def _measured(
-    page: CameraPage,
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    templates: TemplateCache,
+    page: CameraPage, outcomes: Outcomes, templates: TemplateCache
 ) -> tuple[
     list[ChartMeasure | EdgeTargetMeasure], list[Problem], list[Path], dict[str, dict[str, Any]]
 ]:
@@ -291,6 +268,7 @@ def _measured(
         write_chart,
     )
 
+    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
     measured = measured_of(page, records)
     files: list[Path] = []
     measures: list[ChartMeasure | EdgeTargetMeasure] = []

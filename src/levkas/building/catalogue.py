@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,14 +18,14 @@ from levkas.building.derived_layers import (
 )
 from levkas.building.fingerprints import digest
 from levkas.building.graph import Step
-from levkas.building.outcomes import is_named
+from levkas.building.outcomes import Outcomes, is_named
 from levkas.campaign.campaign import Campaign
 from levkas.core.ownership import IMPRINT, MARK
 from levkas.database.layout import LayerId, Places
 from levkas.stages.sources import made_with
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable
 
     from levkas.campaign.campaign import Campaign
     from levkas.database.catalogue import Entry
@@ -32,36 +33,30 @@ if TYPE_CHECKING:
 _OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv")
 
 
-def write_catalogue_of(
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    earlier: Mapping[LayerId, str],
-    names: list[str],
-    *,
-    whole: bool = True,
-) -> Step:
+def write_catalogue_of(outcomes: Outcomes, names: list[str], *, whole: bool = True) -> Step:
     """Catalogue, indices and manifest, where a layer came, changed or went; else nothing.
 
-    `earlier` says why layers are of an earlier build. Where not the `whole` campaign is built, other objects keep their
+    Where not the `whole` campaign is built, other objects keep their
     rows; so does what a campaign no longer has where it is kept. A build that runs beside this one ends before or
-    after: the last to end has them all.
+    after: the last to end has them all. A dry one says whether they are stale.
     """
     from levkas.building.claiming import in_turn
     from levkas.database.manifest import NAME as MANIFEST
     from levkas.database.manifest import write_manifest
 
     key = CATALOGUE
-    with in_turn(places.kept):
-        entries, outdated, why = _entries(campaign, places, records, earlier, names, whole=whole)
+    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
+    with nullcontext() if outcomes.dry else in_turn(places.kept):
+        entries, outdated, why = _entries(outcomes, names, whole=whole)
         imprint = imprint_of(campaign, entries)
         spectra = spectra_of(campaign, imprint["setups"])
         others = by_others(places, records)
         prints = _prints(entries, records, imprint, spectra, others)
         why = why or records.why_stale(key, prints)
         stay = tuple(one.describe(layer) for layer, one in outdated.items() if not one.goes)
-        if not why:
-            return Step(key, "fresh", warnings=(*stay, *foreign_files(others)))
+        if outcomes.dry or not why:
+            state = "stale" if why else "fresh"
+            return Step(key, state, why, warnings=(*stay, *foreign_files(others)))
         records.forget(key)
         go = {layer: one for layer, one in outdated.items() if one.goes}
         warnings = (*stay, *put_away_outdated(places, records, go))
@@ -72,21 +67,6 @@ def write_catalogue_of(
         write_manifest(places.output, dict(records.products_that_stand()))
         records.keep(key, prints, [*paths, manifest])
     return Step(key, "done", why, warnings=(*warnings, *foreign_files(others)))
-
-
-def why_catalogue_is_stale(
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    earlier: Mapping[LayerId, str],
-    names: list[str],
-    others: dict[str, str],
-) -> str:
-    """Report why the files about all layers are stale; `others` are those of `by_others`."""
-    rows, _, why = _entries(campaign, places, records, earlier, names, whole=True)
-    imprint = imprint_of(campaign, rows)
-    spectra = spectra_of(campaign, imprint["setups"])
-    return why or records.why_stale(CATALOGUE, _prints(rows, records, imprint, spectra, others))
 
 
 def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
@@ -164,17 +144,12 @@ def _prints(
 
 
 def _entries(
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    earlier: Mapping[LayerId, str],
-    names: Collection[str],
-    *,
-    whole: bool,
+    outcomes: Outcomes, names: Collection[str], *, whole: bool
 ) -> tuple[list[Entry], dict[LayerId, Outdated], str]:
     """Return one row a layer that stands, the layers made from others that do not fit any more, and what of these is new."""
     from levkas.database.catalogue import MEASURED, DatabaseRefused, read_catalogue
 
+    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
     try:
         stood = {entry.layer: entry for entry in read_catalogue(places.output)}
     except DatabaseRefused:
@@ -186,12 +161,15 @@ def _entries(
     rows = [row for key in keys if (row := records.finished(key))] + derived
 
     def has_left(name: str) -> bool:
-        return whole and not records.keep_removed and not is_named(campaign, Key(name))
+        return whole and not is_named(campaign, Key(name))
 
     outdated = outdated_layers(places, rows, has_left)
     go = {layer for layer, one in outdated.items() if one.goes}
     why = {layer: entry.earlier for layer, entry in stood.items() if entry.object not in names}
-    why |= {**earlier, **{layer: one.why for layer, one in outdated.items() if layer not in go}}
+    why |= {
+        **outcomes.earlier,
+        **{layer: one.why for layer, one in outdated.items() if layer not in go},
+    }
     entries = [
         replace(row, earlier=why.get(row.layer, ""))
         for row in sorted(rows, key=lambda row: (row.object, row.camera, row.setup))
@@ -232,14 +210,7 @@ SPARE = "main"
 
 
 def imprint_of(campaign: Campaign, entries: Iterable[Entry]) -> dict[str, Any]:
-    """Return what database.toml says, of what is in the database.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    entries : iterable of Entry
-        Rows of the catalogue.
-    """
+    """Return what database.toml says, of what is in the database: `entries` are the rows of its catalogue."""
     entries = list(entries)
     described = campaign.campaign
     cameras = {e.camera for e in entries}

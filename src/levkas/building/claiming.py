@@ -52,21 +52,9 @@ def claim(
 ) -> None:
     """Take a folder for a campaign's database and mark it, or refuse; nothing is touched then.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    places : Places
-    captures : iterable of Capture
-        All that were found: their frames stand in folders that no build writes into.
-    objects : iterable of str
-        Names of all objects that the campaign has.
-
-    Raises
-    ------
-    CampaignInvalid
-        Where the folder holds, or lies among, what the campaign is made of.
-    WriteRefused
-        Where something exists there that no build wrote, or the disk refuses.
+    Of all `captures` that were found the frames stand in folders that no build writes into; `objects` are the names of
+    all that the campaign has. Raises CampaignInvalid where the folder holds, or lies among, what the campaign is made
+    of, or something exists there that no build wrote; WriteRefused where the disk refuses.
     """
     from levkas.core.files import make_folder, write_changed, write_text
 

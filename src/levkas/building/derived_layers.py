@@ -1,4 +1,4 @@
-"""Layers of a database that were made from others, estimated or spliced: those that no longer fit their sources stay, marked."""
+"""Layers of a database that were made from others: those that no longer fit their sources stay, marked."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from levkas.core.problems import Refused
 from levkas.core.text import counted, read_json
-from levkas.database.catalogue import ESTIMATED, MEASURED, SPLICED
+from levkas.database.catalogue import MEASURED
 from levkas.database.layout import KINDS, MADE_OF, LayerId
 from levkas.database.manifest import walk_files
 
@@ -18,19 +18,18 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
 
 
-class Outdated(NamedTuple):
-    """A layer made from others that is not of what the database holds now: how it was made, why, and whether it goes."""
+AGAIN = "`levkas estimate apply` makes it again"
 
-    kind: str
+
+class Outdated(NamedTuple):
+    """Why a layer made from others is not of what the database holds now, and whether it goes."""
+
     why: str
     goes: bool = False
 
     def describe(self, layer: LayerId) -> str:
         """Return the warning of one that stays."""
-        return f"{layer.object}/{layer.name}: of an earlier build: {self.why}. {AGAIN[self.kind]}"
-
-
-AGAIN = {ESTIMATED: "`levkas estimate apply` makes it again", SPLICED: "splice its sources again"}
+        return f"{layer.object}/{layer.name}: of an earlier build: {self.why}. {AGAIN}"
 
 
 def outdated_layers(
@@ -38,23 +37,18 @@ def outdated_layers(
 ) -> dict[LayerId, Outdated]:
     """Return the layers made from others that are not of what the database holds now, and why.
 
-    Parameters
-    ----------
-    places : Places
-    entries : sequence of Entry
-        Rows of the catalogue, those of measured layers as they are now.
-    has_left : callable
-        Tells whether campaign.toml no longer names an object; its layers go, as one does whose name a camera takes.
+    `entries` has the rows of measured layers as they are now. `has_left` tells whether campaign.toml no longer names an
+    object: its layers go, as one does whose name a camera takes.
     """
     measured = {entry.layer: entry.sha256 for entry in entries if entry.kind == MEASURED}
     found = {}
     for layer, kind in ((entry.layer, entry.kind) for entry in entries if entry.kind != MEASURED):
         if has_left(layer.object):
-            found[layer] = Outdated(kind, f"{layer.object} is no longer in the campaign", goes=True)
+            found[layer] = Outdated(f"{layer.object} is no longer in the campaign", goes=True)
         elif layer in measured:
-            found[layer] = Outdated(kind, "a camera of the campaign has its name", goes=True)
+            found[layer] = Outdated("a camera of the campaign has its name", goes=True)
         elif why := _why_outdated(places, layer, kind, measured):
-            found[layer] = Outdated(kind, why)
+            found[layer] = Outdated(why)
     return found
 
 
@@ -88,11 +82,11 @@ def put_away_outdated(
 ) -> tuple[str, ...]:
     """Move outdated layers out of the database; return a warning for each."""
     warnings = []
-    for layer, (kind, why, _) in outdated.items():
+    for layer, (why, _) in outdated.items():
         where = records.put_away(_files_of(places, layer))
         warnings.append(
-            f"{layer.object}/{layer.name}: this layer is {kind}, and {why}; it was moved to "
-            f"{where or 'nowhere: its files are gone'}. {AGAIN[kind]}"
+            f"{layer.object}/{layer.name}: made from others, and {why}; it was moved to "
+            f"{where or 'nowhere: its files are gone'}. {AGAIN}"
         )
     return tuple(warnings)
 

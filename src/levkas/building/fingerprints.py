@@ -55,12 +55,7 @@ def without(prints: dict[str, Any], beginnings: tuple[str, ...] = FACTS) -> dict
 class Inputs:
     """Fingerprints of the tasks of captures, and digests of them for the tasks that read their products.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    records : BuildRecords
-    unread : bool
-        Whether the frames of layers that were never begun need not be read, as for `status`.
+    Where `unread`, frames of layers that were never begun need not be read, as for `status`.
     """
 
     def __init__(self, campaign: Campaign, records: BuildRecords, *, unread: bool = False) -> None:

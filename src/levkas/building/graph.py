@@ -6,7 +6,7 @@ Made without reading a pixel.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -56,13 +56,7 @@ def graph_of(
 ) -> Graph:
     """Return the tasks of a campaign in the order in which a build does them.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    captures : sequence of Capture
-        Of all objects, each object's reference first; those without a reference are left out.
-    charts : sequence of Capture
-        Of charts: they are measured for the page of their camera.
+    Captures without a reference are left out. `charts` are measured for the page of their camera.
     """
     tasks: dict[Key, Task] = {}
     for mine in by_object(captures).values():
@@ -162,36 +156,6 @@ def default_of(capture: Capture, captures: Iterable[Capture]) -> Capture | None:
     return next((c for c in alike if not c.setup), None)
 
 
-def draw(graph: Graph, states: Mapping[Key, str]) -> str:
-    """Return a graph as a Mermaid flow chart: a box a task with its state, an arrow to each that reads it.
-
-    Parameters
-    ----------
-    states : mapping of Key to str
-        ``fresh``, ``stale``, ``refused``; a task without one is drawn as ``refused``.
-    """
-    drawn = [*graph.values()]
-    numbers = {task.key: f"t{n}" for n, task in enumerate(drawn)}
-    lines = ["flowchart LR"]
-    by_name: dict[str, list[Task]] = {}
-    for task in drawn:
-        by_name.setdefault(task.key.object, []).append(task)
-    for name, mine in by_name.items():
-        lines += [f'  subgraph "{name}"'] if name else []
-        for task in mine:
-            state = states.get(task.key, "refused")
-            what = f"{task.key.layer} {task.key.stage}".strip()
-            lines.append(f'    {numbers[task.key]}["{what}"]:::{state}')
-        lines += ["  end"] if name else []
-    for task in drawn:
-        for arrow, keys in (("-->", task.needs), ("-.->", task.uses)):
-            lines += [
-                f"  {numbers[key]} {arrow} {numbers[task.key]}" for key in keys if key in numbers
-            ]
-    lines += ["  classDef fresh fill:#dfd", "  classDef stale fill:#ffd"]
-    return "\n".join([*lines, "  classDef refused fill:#fdd", ""])
-
-
 def _tasks_of(
     campaign: Campaign, capture: Capture, mine: Sequence[Capture], captures: Sequence[Capture]
 ) -> Iterator[Task]:
@@ -220,7 +184,7 @@ def _in_order(mine: Sequence[Capture]) -> list[Capture]:
 
 # --- steps: how tasks begin and end -------------------------------------------------------------
 
-FINISHED = ("fresh", "done", "refused", "failed", "stale")
+FINISHED = ("fresh", "done", "refused", "stale")
 
 
 @dataclass(frozen=True)
@@ -274,20 +238,13 @@ class BuildReport:
     stages: tuple[Step, ...]
     problems: list[Problem] = field(default_factory=list)
     warnings: tuple[str, ...] = ()
-    draws: Callable[[], str] = field(default=str, compare=False, repr=False)
-    """Of `status`: draws the graph."""
     layers: tuple[dict[str, Any], ...] = ()
     """Of `build --json`: verdict, errors and reasons of every layer."""
 
     @property
-    def graph(self) -> str:
-        """Of `status`: the campaign's graph as a Mermaid flow chart; empty where its stages are not listed."""
-        return self.draws()
-
-    @property
     def ok(self) -> bool:
-        """Whether nothing was refused and nothing failed."""
-        return not any(_lost(step) for step in self.stages)
+        """Whether nothing was refused."""
+        return all(step.state != "refused" for step in self.stages)
 
     @property
     def text(self) -> str:
@@ -297,7 +254,9 @@ class BuildReport:
         lines = [f"warning: {warning}" for warning in _gathered(self.warnings)]
         # What was refused is among the problems, where it is reported once.
         lines += [
-            s.line for s in self.stages if s.state == "stale" or (_lost(s) and not s.problems)
+            s.line
+            for s in self.stages
+            if s.state == "stale" or (s.state == "refused" and not s.problems)
         ]
         where = f": {self.output}" if self.output else ""
         lines.append(f"{', '.join(counts) or 'nothing to do'}{where}")
@@ -311,10 +270,6 @@ class BuildReport:
             "warnings": list(self.warnings),
             **({"layers": list(self.layers)} if self.layers else {}),
         }
-
-
-def _lost(step: Step) -> bool:
-    return step.state in ("refused", "failed")
 
 
 def _gathered(warnings: Iterable[str]) -> list[str]:

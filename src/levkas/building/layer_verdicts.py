@@ -6,10 +6,9 @@ from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.build_records import key_of
+from levkas.building.build_records import STAGES, key_of
 from levkas.core.files import write_json
 from levkas.core.problems import Refused
-from levkas.core.text import read_json
 from levkas.database.catalogue import entry_of
 from levkas.database.layout import Places, layer_name
 from levkas.database.registrations import (
@@ -32,9 +31,6 @@ if TYPE_CHECKING:
     from levkas.building.graph import BuildReport, Step
     from levkas.campaign.discovery.captures import Capture
     from levkas.campaign.edits import Edits
-
-PROVENANCE = "provenance.json"
-STAGES = ("calibrate", "register", "resample")
 
 
 def layer_verdicts(report: BuildReport) -> list[dict[str, Any]]:
@@ -137,7 +133,7 @@ def describe_verdict(row: Mapping[str, Any]) -> str:
 
 def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]) -> dict[str, Any]:
     row: dict[str, Any] = {"object": name, "camera": camera, "setup": setup}
-    lost = [step for step in steps if step.state in ("refused", "failed")]
+    lost = [step for step in steps if step.state == "refused"]
     if lost:
         first = next((step for step in lost if step.problems), lost[0])
         problems = first.problems
@@ -164,27 +160,7 @@ def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]
         **{key: verdict[key] for key in ("confirmed",) if key in verdict},
         "method": record.get("method", ""),
         **_errors(record),
-        **_chart_white(output, name, camera, setup),
     }
-
-
-def _chart_white(output: Path, name: str, camera: str, setup: str) -> dict[str, Any]:
-    """Return by which chart a layer is reflectance, sensor by sensor, as its provenance says; nothing of others."""
-    path = output / "objects" / name / PROVENANCE
-    try:
-        steps = read_json(path)["steps"]
-    except (
-        Refused,
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-    ):  # `validate` says what is wrong with it
-        return {}
-    for step in steps:
-        if (step["camera"], step["setup"], step["stage"]) == (camera, setup, "calibrate"):
-            return {key: step[key] for key in ("chart_white",) if key in step}
-    return {}
 
 
 def _errors(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -48,20 +48,9 @@ class Due(NamedTuple):
 
 
 class Outcomes:
-    """Decides what is due, records what was done, and withdraws what was refused.
+    """Decides what is due, records what was done, and withdraws what was refused; a `dry` one only says so, for `status`.
 
-    The one writer of the records of captures, wherever their tasks are computed.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    places : Places
-    records : BuildRecords
-    graph : Graph
-    dry : bool
-        Nothing is done, recorded or withdrawn: `status`.
-    unread : bool
-        As of `Inputs`.
+    The one writer of the records of captures. `unread` as of `Inputs`.
     """
 
     def __init__(
@@ -345,9 +334,8 @@ def no_longer_named(
 def describe(keys: Iterable[Key], records: BuildRecords) -> str:
     """Report what is no longer in the campaign; empty where nothing of it is in the database."""
     there = [key for key in keys if records.made_by(key)]
-    layers = {(key.object, key.layer) for key in there if key.object and key.camera}
     counts = {
-        "layer": len(layers),
+        "layer": len({key.of for key in there if key.object and key.camera}),
         "object": sum(key.stage == "report" for key in there),
         "camera": sum(key.stage == "camera" for key in there),
     }
@@ -359,16 +347,8 @@ def describe(keys: Iterable[Key], records: BuildRecords) -> str:
 
 
 def removal(keys: Sequence[Key], records: BuildRecords) -> list[Step]:
-    """Move what is no longer in the campaign out of the database, unless it is to stay.
-
-    Returns
-    -------
-    steps : list of Step
-        One, or none where there was nothing.
-    """
+    """Move what is no longer in the campaign out of the database; return one step, or none where there was nothing."""
     text = describe(keys, records)
-    if records.keep_removed:
-        return [Step(REMOVED, "fresh", warnings=(f"{text}, and was kept",))] if text else []
     moved = [where for key in keys if (where := put_away_stage(key, records))]
     return (
         [Step(REMOVED, "done", text, warnings=(f"{text}: moved to {moved[0]}",))] if moved else []

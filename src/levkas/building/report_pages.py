@@ -70,6 +70,7 @@ if TYPE_CHECKING:
 
     from levkas.building.build_records import BuildRecords
     from levkas.building.graph import Step
+    from levkas.building.outcomes import Outcomes
     from levkas.campaign.campaign import Campaign
     from levkas.database.layout import Places
 
@@ -86,23 +87,14 @@ FILE = "file "
 
 
 def write_report(
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    name: str,
-    captures: list[Capture],
-    steps: list[Step],
-    earlier: Mapping[LayerId, str],
+    outcomes: Outcomes, name: str, captures: list[Capture], steps: list[Step]
 ) -> list[Path]:
     """Write the page of an object, its museum facts and its provenance; return the files.
 
-    `earlier` says which layers are of an earlier build, and why: what is known of these stays.
-
-    Raises
-    ------
-    WriteRefused
+    What is known of layers of an earlier build stays. Raises WriteRefused.
     """
-    why = {layer: text for layer, text in earlier.items() if layer.object == name}
+    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
+    why = {layer: text for layer, text in outcomes.earlier.items() if layer.object == name}
     captures = _as_layers_stand(campaign, places, captures, why)
     folder = places.folder(name)
     page, facts, made_of = (folder / n for n in ("report.html", "object.toml", PROVENANCE))
@@ -114,8 +106,8 @@ def write_report(
         rows = (row for step in own for row in step.get("uncertainty", ()))
         budgets[layer] = tuple(map(ErrorSource.from_dict, rows))
     registered = _registrations(places, captures)
-    compare = partial(_agreement, campaign, places, records, captures, budgets, registered)
-    draw = partial(_drawn, campaign, places, records, captures, budgets, registered)
+    compare = partial(_agreement, outcomes, captures, budgets, registered)
+    draw = partial(_drawn, outcomes, captures, budgets, registered)
     # Layers are compared in compiled code, and drawn under the interpreter's lock.
     pairs, (layers, rows) = each(lambda make: make(), (compare, draw))
     sampling = _sampling(registered.get(captures[0].layer))
@@ -157,9 +149,7 @@ def report_of(
     refused_layers = {
         layer.name for layer in layers if layer.decision == "refuse"
     }  # in its own section
-    refused = [
-        s for s in steps if s.state in ("refused", "failed") and s.key.layer not in refused_layers
-    ]
+    refused = [s for s in steps if s.state == "refused" and s.key.layer not in refused_layers]
     problems = [
         {"code": p.code, "text": written(campaign, p)} for step in refused for p in step.problems
     ]
@@ -223,21 +213,16 @@ def _registrations(places: Places, captures: Sequence[Capture]) -> Registrations
 
 
 def _drawn(
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    captures: Sequence[Capture],
-    budgets: Budgets,
-    registrations: Registrations,
+    outcomes: Outcomes, captures: Sequence[Capture], budgets: Budgets, registrations: Registrations
 ) -> tuple[list[LayerReport], list[RadiometryRow]]:
     """Return what the page says of each layer and of its radiometry, with plots and maps."""
     made = (
-        _layer(campaign, places, records, c, budgets[c.layer], registrations[c.layer])
+        _layer(outcomes, c, budgets[c.layer], registrations[c.layer])
         for c in captures
         if c.layer in registrations
     )
     layers = [layer for layer in made if layer is not None]
-    return layers, radiometry_rows(records, captures)
+    return layers, radiometry_rows(outcomes.records, captures)
 
 
 def _budget_of(
@@ -254,14 +239,10 @@ def _budget_of(
 
 
 def _agreement(
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    captures: Sequence[Capture],
-    budgets: Budgets,
-    registrations: Registrations,
+    outcomes: Outcomes, captures: Sequence[Capture], budgets: Budgets, registrations: Registrations
 ) -> tuple[PairAgreement, ...]:
     """Compare all layers of an object that hold reflectance, those of the reference first."""
+    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
     order = sorted(captures, key=lambda c: (c.camera != campaign.reference.camera, c.setup))
     layers, known, weights = [], {}, {}
     for capture in order:
@@ -285,13 +266,9 @@ def _agreement(
 
 
 def _layer(
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    capture: Capture,
-    budget: tuple[ErrorSource, ...],
-    record: dict[str, Any],
+    outcomes: Outcomes, capture: Capture, budget: tuple[ErrorSource, ...], record: dict[str, Any]
 ) -> LayerReport | None:
+    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
     calibrated = records.notes(key_of(capture, "calibrate"))
     if not calibrated:
         return None
@@ -333,7 +310,7 @@ def _layer(
         error=_describe_error(error, checked, scale),
         error_px=error,
         checked=checked,
-        checks=_checks(errors),
+        checks=_check_points(errors),
         ssim="–" if ssim is None else f"{ssim:.3f}",
         flags=describe_flags(resampled.get("flags", {})) if shown else "–",
         preview=preview.name if shown else "",
@@ -417,22 +394,8 @@ def _links_of_layer(campaign: Campaign, places: Places, capture: Capture) -> lis
     return links
 
 
-def _checks(errors: dict[str, Any]) -> str:
-    """Report how far a person's check points are off, and how many pairs of another program agree; empty where there are none."""
-    return " ".join(filter(None, (_check_points(errors), _start_pairs(errors))))
-
-
-def _start_pairs(errors: dict[str, Any]) -> str:
-    sensors = (errors.get("sensors") or {}).items()
-    counts = [(name, one["start_pairs"]) for name, one in sensors if one.get("start_pairs")]
-    return " ".join(
-        f"{name + ': of' if name else 'Of'} {one['given']} pairs of another program, {one['agreeing']} agree with "
-        f"the map; {'they started the search' if one['used'] else 'the pictures alone gave it'}."
-        for name, one in counts
-    )
-
-
 def _check_points(errors: dict[str, Any]) -> str:
+    """Report how far a person's check points are off; empty where there are none."""
     found = errors.get("check_points") or []
     numbers = [one["error"] for one in found if one["error"] is not None]
     if not numbers:

@@ -13,16 +13,13 @@ from levkas.building import fingerprints
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
 from levkas.building.camera_pages import prints_of_charts, prints_of_page, write_camera_page
 from levkas.building.catalogue import (
-    by_others,
-    foreign_files,
     setups_of,
     spectra_of,
-    why_catalogue_is_stale,
     write_catalogue_of,
 )
 from levkas.building.claiming import check_apart, claim, places_of
 from levkas.building.executor import DryRun, Executor
-from levkas.building.graph import BuildReport, Graph, Step, Task, draw, page_key, summarise
+from levkas.building.graph import BuildReport, Graph, Step, Task, page_key, summarise
 from levkas.building.hashes import hashes_of_session
 from levkas.building.outcomes import (
     REMOVED,
@@ -55,7 +52,6 @@ def build(
     *,
     output: str | Path | None = None,
     objects: list[str] | None = None,
-    keep_removed: bool = False,
     verify: bool = False,
 ) -> Iterator[Step]:
     """Build the database of a campaign, yielding each stage as it begins and as it ends.
@@ -68,9 +64,6 @@ def build(
         The database, instead of the campaign's own `output`.
     objects : list of str, optional
         Only these objects.
-    keep_removed : bool
-        Leave layers, objects, cameras and charts in the database that the campaign no longer has. They
-        are moved to the folder OUTPUT.removed otherwise.
     verify : bool
         Read every file anew, whatever its size, times and inode say.
 
@@ -103,7 +96,7 @@ def build(
         sweep(folder)
     sweep_corrections(campaign.root)
     records = BuildRecords(
-        places.kept, places.output, keep_removed=keep_removed, verify=verify,
+        places.kept, places.output, verify=verify,
         session=hashes_of_session(campaign.root),
     )  # fmt: skip
     plan = plan.with_missing(records, objects)
@@ -176,17 +169,14 @@ def _steps(
 
 def _catalogue(plan: Plan, outcomes: Outcomes, *, whole: bool, stale: bool) -> Step:
     """Write what lists all layers where it is stale; of a dry build, report whether it is."""
-    campaign, places, records = plan.campaign, outcomes.places, outcomes.records
-    if outcomes.dry:
-        return _state_of_catalogue(plan, outcomes, listed_are_stale=stale)
+    if outcomes.dry and stale:
+        return Step(CATALOGUE, "stale", "it lists stale files")
     try:
-        return write_catalogue_of(
-            campaign, places, records, outcomes.earlier, plan.names, whole=whole
-        )
+        return write_catalogue_of(outcomes, plan.names, whole=whole)
     except Refused:
         raise
     except Exception as error:
-        refused = records.with_report(CATALOGUE, as_refusal(error, "catalogue"))
+        refused = outcomes.records.with_report(CATALOGUE, as_refusal(error, "catalogue"))
         return refused_step(CATALOGUE, refused)
 
 
@@ -197,19 +187,11 @@ def _count(plan: Plan) -> int:
 
 
 def _numbered(steps: Iterator[Step], graph: Graph, total: int) -> Iterator[Step]:
-    """Report of every step how many tasks are behind it; a lost capture takes its later ones along."""
-    stages: dict[tuple[str, str], list[str]] = {}
+    """Report of every step how many tasks are behind it; later ones of a refused capture are, in the end."""
     places = {key: number for number, key in enumerate(graph, 1)}
-    place = 0
-    for key, task in graph.items():
-        if task.capture is not None:
-            stages.setdefault((key.object, key.layer), []).append(key.stage)
-    done = 0
+    place = done = 0
     for step in steps:
-        if step.finished:
-            mine = stages.get((step.key.object, step.key.layer), [])
-            lost = step.state == "refused" and step.key.stage in mine
-            done += 1 + (len(mine) - 1 - mine.index(step.key.stage) if lost else 0)
+        done += step.finished
         place = places.get(step.key, place)
         behind = total if step.key == CATALOGUE else min(done, total)
         yield replace(step, done=behind, total=total, place=place)
@@ -257,9 +239,7 @@ def status(
     templates = TemplateCache(places.kept / "templates", records.hashes.of_frame)
     outcomes = Outcomes(campaign, places, records, plan.graph, dry=True, unread=not verify)
     steps = [*_steps(plan, outcomes, DryRun(outcomes), templates, removed, whole=True)]
-    report = summarise(steps, places.output)
-    states = {step.key: step.state for step in steps}
-    return replace(report, draws=partial(draw, plan.graph, states))
+    return summarise(steps, places.output)
 
 
 def calibrate_aside(capture: Capture, campaign: Campaign, places: Places) -> Path:
@@ -281,17 +261,6 @@ def calibrate_aside(capture: Capture, campaign: Campaign, places: Places) -> Pat
         made = calibrate(capture, campaign, templates, places)
         write_shown(made, capture, campaign, places, folder)
     return folder
-
-
-def _state_of_catalogue(plan: Plan, outcomes: Outcomes, *, listed_are_stale: bool) -> Step:
-    """Return whether catalogue and manifest are stale, because what they list is, or by themselves."""
-    if listed_are_stale:
-        return Step(CATALOGUE, "stale", "it lists stale files")
-    places, records, earlier = outcomes.places, outcomes.records, outcomes.earlier
-    others = by_others(places, records)
-    why = why_catalogue_is_stale(plan.campaign, places, records, earlier, plan.names, others)
-    warnings = foreign_files(others)
-    return Step(CATALOGUE, "stale" if why else "fresh", why, warnings=warnings)
 
 
 def _report_prints(
@@ -327,7 +296,7 @@ def _report(plan: Plan, outcomes: Outcomes, task: Task, steps: list[Step]) -> It
 
         captures = [c for c in plan.captures if c.object == name]
         confirm_layers(captures, plan.campaign.edits, places, records)
-        made = write_report(plan.campaign, places, records, name, captures, steps, outcomes.earlier)
+        made = write_report(outcomes, name, captures, steps)
         return Written(made, {})
 
     prints = partial(_report_prints, plan, outcomes, name, steps)
@@ -336,9 +305,9 @@ def _report(plan: Plan, outcomes: Outcomes, task: Task, steps: list[Step]) -> It
 
 def _camera(plan: Plan, outcomes: Outcomes, templates: TemplateCache, task: Task) -> Iterator[Step]:
     """Write the page of a camera where it is stale."""
-    page, records = plan.pages[task.key], outcomes.records
-    prints = partial(prints_of_page, page, plan.campaign, records, outcomes.inputs, outcomes.lost)
-    write = partial(write_camera_page, page, plan.campaign, outcomes.places, records, templates)
+    page = plan.pages[task.key]
+    prints = partial(prints_of_page, page, outcomes)
+    write = partial(write_camera_page, page, outcomes, templates)
     return _page(plan, outcomes, task, prints, write)
 
 

@@ -35,70 +35,11 @@ class Damaged(Refused):
         self.key = key
 
 
-class CalibratedCache:
-    """Calibrated cubes of one capture and the reference of one object: in memory, else calibrated again."""
-
-    def __init__(
-        self,
-        campaign: Campaign,
-        places: Places,
-        records: BuildRecords,
-        templates: TemplateCache,
-    ) -> None:
-        self.campaign, self.places, self.records = campaign, places, records
-        self.templates = templates
-        self._capture: Capture | None = None
-        self._native: CalibratedCapture | None = None
-        self._frame: ReferenceFrame | None = None
-        self.streams = False
-        """Whether the capture is calibrated as it is written and read."""
-
-    def calibrate(self, capture: Capture) -> CalibratedCapture:
-        """Calibrate a capture, which is kept, packed, for the next stages."""
-        from levkas.stages.calibrate import calibrate
-
-        self.let_go()
-        self.templates.used.clear()
-        native = calibrate(capture, self.campaign, self.templates, self.places)
-        self._keep(capture, native.packed())
-        return native
-
-    def native(self, capture: Capture) -> CalibratedCapture:
-        """Return a calibrated capture."""
-        if self._native is None or self._capture is not capture:
-            self.let_go()
-            return self._keep(capture, self._read(capture))
-        return self._native
-
-    def _keep(self, capture: Capture, native: CalibratedCapture) -> CalibratedCapture:
-        self._capture, self._native, self.streams = capture, native, native.is_streamed
-        return native
-
-    def frame(self, task: Task, graph: Graph) -> ReferenceFrame:
-        """Return the reference that a capture is registered to."""
-        from levkas.stages.reference import ReferenceFrame
-
-        _, lead = captures_of(task)
-        if self._frame is None or self._frame.capture is not lead:
-            self._frame = None
-            mine = [t.capture for t in graph.values() if t.key.object == lead.object and t.capture]
-            native = self.native(lead) if task.leads else self._read(lead)
-            self._frame = ReferenceFrame(self.campaign, self.places, [lead, *mine], native)
-        return self._frame
-
-    def let_go(self) -> None:
-        """Let go of the capture's cubes."""
-        self._capture, self._native = None, None
-
-    def _read(self, capture: Capture) -> CalibratedCapture:
-        from levkas.stages.calibrate import load_calibrated
-
-        notes = self.records.notes(key_of(capture, "calibrate"))
-        return load_calibrated(capture, self.campaign, self.places, notes, self.templates)
-
-
 class Stages:
-    """Computes the tasks of a graph, one at a time; the records are only read."""
+    """Computes the tasks of a graph, one at a time; the records are only read.
+
+    Calibrated cubes of one capture and the reference of one object are held for the next stages, else calibrated again.
+    """
 
     def __init__(
         self,
@@ -109,8 +50,12 @@ class Stages:
         graph: Graph,
     ) -> None:
         self.campaign, self.places, self.records = campaign, places, records
-        self.graph = graph
-        self.held = CalibratedCache(campaign, places, records, templates)
+        self.templates, self.graph = templates, graph
+        self._capture: Capture | None = None
+        self._native: CalibratedCapture | None = None
+        self._frame: ReferenceFrame | None = None
+        self.streams = False
+        """Whether the capture is calibrated as it is written and read."""
 
     def compute(self, task: Task) -> Write:
         """Do what a task computes; return what writes it. Raises Refused or MemoryError."""
@@ -123,12 +68,49 @@ class Stages:
         with steady_libraries():
             return stages[task.key.stage](task)
 
+    def let_go(self) -> None:
+        """Let go of the capture's cubes."""
+        self._capture, self._native = None, None
+
+    def native(self, capture: Capture) -> CalibratedCapture:
+        """Return a calibrated capture."""
+        if self._native is None or self._capture is not capture:
+            self.let_go()
+            return self._keep(capture, self._read(capture))
+        return self._native
+
+    def _keep(self, capture: Capture, native: CalibratedCapture) -> CalibratedCapture:
+        self._capture, self._native, self.streams = capture, native, native.is_streamed
+        return native
+
+    def frame(self, task: Task) -> ReferenceFrame:
+        """Return the reference that a capture is registered to."""
+        from levkas.stages.reference import ReferenceFrame
+
+        _, lead = captures_of(task)
+        if self._frame is None or self._frame.capture is not lead:
+            self._frame = None
+            tasks = self.graph.values()
+            mine = [t.capture for t in tasks if t.key.object == lead.object and t.capture]
+            native = self.native(lead) if task.leads else self._read(lead)
+            self._frame = ReferenceFrame(self.campaign, self.places, [lead, *mine], native)
+        return self._frame
+
+    def _read(self, capture: Capture) -> CalibratedCapture:
+        from levkas.stages.calibrate import load_calibrated
+
+        notes = self.records.notes(key_of(capture, "calibrate"))
+        return load_calibrated(capture, self.campaign, self.places, notes, self.templates)
+
     def _calibrate(self, task: Task) -> Write:
-        from levkas.stages.calibrate import write_calibrated
+        from levkas.stages.calibrate import calibrate, write_calibrated
 
         capture, _ = captures_of(task)
-        native = self.held.calibrate(capture)
-        used = sorted(self.held.templates.used)
+        self.let_go()
+        self.templates.used.clear()
+        native = calibrate(capture, self.campaign, self.templates, self.places)
+        self._keep(capture, native.packed())
+        used = sorted(self.templates.used)
         write = partial(write_calibrated, native, capture, self.campaign, self.places)
         return lambda before: _with_notes(write(before), templates=used)
 
@@ -137,7 +119,7 @@ class Stages:
         from levkas.stages.register import draw_recorded, measure, publish_registration
 
         capture, _ = captures_of(task)
-        native, frame = self.held.native(capture), self.held.frame(task, self.graph)
+        native, frame = self.native(capture), self.frame(task)
         found = measure(capture, native, frame, self.campaign)
         verdict = apply_confirmation(found.record, self.campaign.edits, capture)
         found = replace(found, record={**found.record, "verdict": verdict})
@@ -145,7 +127,7 @@ class Stages:
         write = partial(publish_registration, found, capture, self.places, size_mm)
         if not found.problems or capture.tiles:
             return write
-        picture = draw_recorded(self.held.native(capture))
+        picture = draw_recorded(self.native(capture))
         return lambda before: _with_notes(write(before), recorded=picture)
 
     def _resample(self, task: Task) -> Write:
@@ -154,12 +136,12 @@ class Stages:
         from levkas.stages.resample import resample, target_of, write_resampled
 
         capture, _ = captures_of(task)
-        frame = self.held.frame(task, self.graph)
-        native = self.held.native(capture)
+        frame = self.frame(task)
+        native = self.native(capture)
         target = target_of(capture, native, frame, record_of(self.places, capture))
         for folder in (self.places.folder(capture.object), self.places.store(capture.object)):
             make_folder(folder)
-        self.held.let_go()
+        self.let_go()
         return partial(write_resampled, resample(native, target, frame), target, frame)
 
 

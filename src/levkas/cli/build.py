@@ -58,14 +58,6 @@ def build(
     campaign: CampaignPath,
     output: DatabasePath = None,
     objects: Objects = None,
-    keep_removed: Annotated[
-        bool,
-        typer.Option(
-            "--keep-removed",
-            help="Keep layers in the database that the campaign no longer has; the default moves them "
-            "to OUTPUT.removed.",
-        ),
-    ] = False,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
     as_json: Json = False,
 ) -> None:
@@ -77,7 +69,6 @@ def build(
         campaign,
         output=output,
         objects=objects,
-        keep_removed=keep_removed,
         verify=verify,
     )
     report = summarise(draw_steps(steps, as_json))
@@ -97,10 +88,6 @@ def status(
     campaign: CampaignPath,
     output: DatabasePath = None,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
-    graph: Annotated[
-        bool,
-        typer.Option("--graph", help="Print the stages and their inputs as a Mermaid chart."),
-    ] = False,
     as_json: Json = False,
 ) -> None:
     """List the verdicts of a database, and its stale stages with the reasons."""
@@ -108,9 +95,6 @@ def status(
     from levkas.building.layer_verdicts import layer_verdicts, standing_lines
 
     report = status_of(campaign, output=output, verify=verify)
-    if graph and not as_json:
-        typer.echo(report.graph, nl=False)
-        return
     if as_json:
         report = replace(report, layers=tuple(layer_verdicts(report)))
     else:

@@ -27,7 +27,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "publish": ("levkas publish icons --check", "levkas publish icons -o published --url https://example.org/icons"),
     "radiometry": ("levkas radiometry icons", "levkas radiometry icons --camera d80 -o radiometry.html"),
     "simulate": ("levkas simulate trial", "levkas simulate trial --preset small --objects 2"),
-    "status": ("levkas status icons", "levkas status icons --graph"),
+    "status": ("levkas status icons",),
     "validate": ("levkas validate icons/database", "levkas validate https://example.org/icons"),
     "watch": ("levkas watch session", "levkas watch session --once --json"),
 }  # fmt: skip

@@ -26,7 +26,6 @@ EXCLUDES: dict[str, Needs] = {
     },
     "publish": {"--check": ("--no-iiif",)},
     "simulate": {"--setups": ("--setup",)},
-    "status": {"--graph": ("--json",)},
     "watch": {"--once": ("--bell", "--port", "--no-open")},
 }
 """Command → option → others that would have no effect beside it."""

@@ -43,8 +43,6 @@ show; neither published nor a damage."""
 BUFFER_BYTES, COPY_BYTES = 1 << 20, 1 << 22
 LONGEST_NAME = 200
 """Bytes of a name that stand in its partial name; with ours and eight digits 224."""
-PATIENCE = 20
-"""Times that a folder is taken away again where something comes into it meanwhile."""
 
 
 def _no_fault(step: str, path: Path) -> None:
@@ -456,19 +454,14 @@ def together(before: Callable[[], object] | None = None) -> Iterator[None]:
 
 
 def discard(path: Path) -> None:
-    """Remove a file or a folder, again where something comes into it meanwhile."""
+    """Remove a file or a folder, once more where something comes into it meanwhile."""
     fault("remove", path)
-    for last in (*[False] * PATIENCE, True):
-        if not path.is_dir() or path.is_symlink():
-            break
-        try:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)  # another builder sweeps it too
+        if path.is_dir():
             shutil.rmtree(path)
-        except FileNotFoundError:  # another builder sweeps it too
-            continue
-        except OSError as error:  # a thread of the run that left it may put one more file there
-            if error.errno != errno.ENOTEMPTY or last:
-                raise
-    path.unlink(missing_ok=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def make_folder(path: str | Path) -> None:

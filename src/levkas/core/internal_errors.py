@@ -122,17 +122,7 @@ def _report(error: BaseException, what: str, file: str | Path | None) -> str:
 
 
 def _libraries() -> list[tuple[str, str]]:
-    """Return names and versions of the libraries that Levkas needs."""
-    from importlib.metadata import PackageNotFoundError, requires, version
+    """Return names and versions of the libraries that are installed."""
+    from importlib.metadata import distributions
 
-    found = []
-    try:
-        needed = [one for one in requires("levkas") or () if "extra ==" not in one]
-    except PackageNotFoundError:  # run from its sources
-        needed = []
-    for name in (re.split(r"[^\w.-]", one)[0] for one in needed):
-        try:
-            found.append((name, version(name)))
-        except PackageNotFoundError:
-            continue
-    return found
+    return sorted({(one.metadata["Name"], one.version) for one in distributions()})

@@ -30,8 +30,6 @@ def keep_memory() -> None:
 
     By itself glibc keeps it thread by thread: what one has freed another cannot use, and takes from the system
     for more, which has to be zeroed. One arena makes the peak of a full-size build 2.2 instead of 2.7 GB.
-    dask's nannies set MALLOC_TRIM_THRESHOLD_ to 64 kB for their workers, which then give every array back
-    and have it zeroed anew: a third more processor time.
     """
     import ctypes
 
