@@ -115,13 +115,13 @@ def test_building_on_ends_in_the_bytes_of_building_anew(campaign, what):
         change(campaign)
     stale = {step.label for step in status(campaign).stages if step.state != "fresh"}
     on = summarise(build(campaign))
-    anew = summarise(build(campaign, output=campaign / "anew"))
-    assert on.ok and anew.ok
+    assert on.ok and summarise(build(campaign, output=campaign / "anew")).ok
     assert {s.label for s in on.stages if s.state == "done"} <= stale
     assert differences(campaign / "database", campaign / "anew") == []
     assert {step.state for step in status(campaign).stages} == {"fresh"}
-    kept = [(campaign / f"{name}.kept/templates").glob("*") for name in ("database", "anew")]
-    assert len({tuple(sorted(path.name for path in paths)) for paths in kept}) == 1
+    kept, anew = (campaign / f"{name}.kept/templates" for name in ("database", "anew"))
+    if anew.is_dir():  # of several objects
+        assert {path.name for path in kept.iterdir()} == {path.name for path in anew.iterdir()}
 
 
 #: Everything that is written about pixels and changes none of them.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
 
 
-AGAIN = "`levkas estimate apply` makes it again"
+AGAIN = "Make it again from its sources, an estimated one by `levkas estimate apply`"
 
 
 class Outdated(NamedTuple):
