@@ -86,19 +86,9 @@ def key_of(capture: Capture, stage: str) -> Key:
 class BuildRecords:
     """Fingerprints and products of finished stages, and why others were refused.
 
-    A record is read once: what this build has read or written stays valid for it, whatever
-    another build that runs beside it takes away or writes.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the records are kept, beside the database and never inside it.
-    output : Path
-        The database; products are recorded relative to it.
-    verify : bool
-        Read every file anew, whatever is kept of its hash.
-    session : Path, optional
-        Hashes of frames that were read while a session was watched.
+    A record is read once: what this build has read or written stays valid for it, whatever another build that runs beside
+    it takes away or writes. The records are kept in `folder`, beside the database and never inside it; products are
+    recorded relative to `output`, the database. `verify` and `session` as of `Hashes`.
     """
 
     def __init__(

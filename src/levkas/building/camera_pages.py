@@ -57,16 +57,7 @@ GREY = 0.2
 
 @dataclass(frozen=True)
 class CameraPage:
-    """What the page of a camera shows.
-
-    Parameters
-    ----------
-    camera : str
-    captures, charts : sequence of Capture
-        By this camera.
-    refused : tuple of Problem
-        Of its charts.
-    """
+    """What the page of a camera shows: its captures and charts, and what is wrong with charts that it cannot show."""
 
     camera: str
     captures: Sequence[Capture]
@@ -407,13 +398,7 @@ PICTURES = ("levels", "shape", "step", "size")
 
 
 def write_sensitivity(folder: Path, campaign: Campaign, capture: Capture) -> list[Path]:
-    """Write cameras/CAMERA/sensitivity.csv, where one is declared: wavelength in nm, a column a channel.
-
-    Raises
-    ------
-    Refused
-        Where the declared table cannot be read, or the disk refuses.
-    """
+    """Write cameras/CAMERA/sensitivity.csv, where one is declared: wavelength in nm, a column a channel."""
     from levkas.core.files import write_text
     from levkas.stages.spectra import read_sensitivity
 

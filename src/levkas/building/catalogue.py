@@ -253,12 +253,7 @@ def spectra_of(campaign: Campaign, setups: Iterable[str]) -> dict[str, str]:
     """Return the spectrum of each lighting that declares one, as setups/SETUP/spd.csv has it.
 
     Only numbers that were read are written again, nm and relative power: whatever else a file
-    holds stays where it is.
-
-    Raises
-    ------
-    SpectrumRefused
-        Where the file is no table of two columns.
+    holds stays where it is. Raises SpectrumRefused where it is no table of two columns.
     """
     from levkas.stages.spectra import read_table
 

@@ -31,12 +31,8 @@ FIX = 'Give a new folder with -o, or write output = "database".'
 def places_of(campaign: Campaign, output: str | Path | None = None) -> Places:
     """Return where the database of a campaign stands, or shall; refuse what can be no folder of its own.
 
-    Raises
-    ------
-    CampaignInvalid
-        Where it would replace a disk, a home or the campaign, or no folder can bear its name.
-    WriteRefused
-        Where it is an address of a server.
+    CampaignInvalid where it would replace a disk, a home or the campaign, or no folder can bear its name; WriteRefused
+    where it is an address of a server.
     """
     if output:
         require_path(output)

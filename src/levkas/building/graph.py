@@ -24,15 +24,8 @@ if TYPE_CHECKING:
 class Task:
     """One stage of one capture, or the page of an object or a camera, or the catalogue.
 
-    Parameters
-    ----------
-    key : Key
-    needs : tuple of Key
-        Tasks whose products it reads: it is refused, or left out, where one of them is refused.
-    uses : tuple of Key
-        Tasks whose products it reads where they are not refused.
-    capture, reference : Capture, optional
-        What it is done with, and what that is registered to; None for pages and the catalogue.
+    It reads the products of tasks that it `needs`, and is refused, or left out, where one of them is refused, and of those
+    that it `uses` where they are not. Pages and the catalogue have no capture.
     """
 
     key: Key

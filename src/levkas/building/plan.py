@@ -24,13 +24,7 @@ from levkas.core.problems import Problem, closest_match
 class Plan:
     """A campaign, its captures and the graph of its tasks.
 
-    Parameters
-    ----------
-    refusals : dict of (object, camera, setup) to Refused
-        Captures that cannot be begun.
-    pages : dict of Key to CameraPage
-    listed : tuple of str
-        Folders that frames were looked for in.
+    `refusals` are of captures that cannot be begun. In the `listed` folders frames were looked for.
     """
 
     campaign: Campaign

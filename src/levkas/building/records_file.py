@@ -58,12 +58,9 @@ def read_rows(path: Path, query: str, *values: str) -> list[tuple[Any, ...]]:
 
 
 def write_rows(path: Path, *changes: Change) -> None:
-    """Execute statements, each with some rows, all or none; they are on the disk then.
+    """Execute statements, each with some rows, all or none; they are on the disk then, or WriteRefused is raised.
 
-    Raises
-    ------
-    WriteRefused
-        Where the disk refuses. A file that is damaged, or has other tables, is made anew with these rows alone.
+    A file that is damaged, or has other tables, is made anew with these rows alone.
     """
     with refusing(path, None):
         files.make_folder(path.parent)

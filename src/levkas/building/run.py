@@ -243,13 +243,7 @@ def status(
 
 
 def calibrate_aside(capture: Capture, campaign: Campaign, places: Places) -> Path:
-    """Return a folder beside the database with a capture's native pixels; calibrate it where they are not there yet.
-
-    Raises
-    ------
-    Refused
-        Where the capture cannot be calibrated.
-    """
+    """Return a folder beside the database with a capture's native pixels; calibrate it where they are not there yet."""
     from levkas.stages.calibrate import calibrate, write_shown
 
     records = BuildRecords(places.kept, places.output)

@@ -41,13 +41,6 @@ def njit(*args: Any, **options: Any) -> Any:
 
     Without `cache=True` it can be called by other kernels only: what calls it from Python is left out,
     a tenth of the time to compile.
-
-    Parameters
-    ----------
-    *args
-        The function, or its signatures.
-    **options
-        Those of `numba.njit`.
     """
     options = {**OPTIONS, "no_cpython_wrapper": not options.get("cache"), **options}
     decorate: Callable[[Any], Any] = (

@@ -53,8 +53,6 @@ def is_flagged(flags: np.ndarray, flag: Flag) -> np.ndarray:
 
     NumPy takes a `Flag` for a number of 64 bits, and would make eight bytes of every one.
 
-    Examples
-    --------
     >>> is_flagged(np.array([0, 2, 66, 1], np.uint8), Flag.SATURATED | Flag.NEAR).tolist()
     [False, True, True, False]
     """
@@ -193,24 +191,8 @@ class CubeRows:
 
 
 def band_labels(wavelengths: Sequence[float]) -> list[str]:
-    """Label wavelengths with the fewest decimals that keep the labels unique.
+    """Label wavelengths, nm, with the fewest decimals that keep the labels unique; two may not be the same number.
 
-    Parameters
-    ----------
-    wavelengths : sequence of float
-        nm.
-
-    Returns
-    -------
-    labels : list of str
-
-    Raises
-    ------
-    Refused
-        Where two wavelengths are the same number.
-
-    Examples
-    --------
     >>> band_labels([400, 410.0])
     ['400 nm', '410 nm']
     >>> band_labels([366.551, 366.56])
@@ -236,15 +218,9 @@ def band_labels(wavelengths: Sequence[float]) -> list[str]:
 def find_band(labels: Sequence[str], text: str, wavelengths: Sequence[float] = ()) -> int:
     """Return the index of the band that `text` names: ``"550 nm"``, ``"550nm"``, ``"550"``, ``"R1"``.
 
-    A wavelength with more decimals than the labels have is found among `wavelengths`, nm.
+    A wavelength with more decimals than the labels have is found among `wavelengths`, nm. Refused where no band, or more
+    than one, is meant.
 
-    Raises
-    ------
-    Refused
-        Where no band, or more than one, is meant.
-
-    Examples
-    --------
     >>> find_band(["540 nm", "550 nm"], "550nm")
     1
     """

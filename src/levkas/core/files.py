@@ -61,12 +61,9 @@ entries, or a whole file system), ``remove``.
 
 
 def write_bytes(path: str | Path, data: bytes | bytearray | memoryview) -> None:
-    """Write `data` as the whole of `path`, or leave what was there.
+    """Write `data` as the whole of `path`, or leave what was there; raises WriteRefused.
 
-    Raises
-    ------
-    WriteRefused
-        ``E_UNWRITABLE``, ``E_DISK_FULL`` (with bytes needed and free) or ``E_IO``.
+    ``E_UNWRITABLE``, ``E_DISK_FULL`` (with bytes needed and free) or ``E_IO``.
     """
     with replacing(path, bytes_needed=memoryview(data).nbytes) as handle:
         handle.write(data)
@@ -103,25 +100,11 @@ def copy_file(source: str | Path, path: str | Path) -> None:
 
 @contextlib.contextmanager
 def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[io.BufferedRandom]:
-    """Open a temporary file that becomes `path` when the block ends well.
+    """Open a temporary file that becomes `path` when the block ends well; its folder is made where it is missing.
 
-    Parameters
-    ----------
-    path : path
-        Its folder is made where it is missing.
-    bytes_needed : int, optional
-        Checked against the free space before anything is written.
-
-    Yields
-    ------
-    handle : binary file, seekable, for reading and writing
-        `handle.name` is the temporary path, for libraries that open files themselves.
-
-    Raises
-    ------
-    WriteRefused
-        On any failure of the disk; other exceptions of the block pass as they are. Either way
-        `path` is what it was and the temporary file is gone.
+    `bytes_needed` are checked against the free space before anything is written. `handle.name` is the temporary path, for
+    libraries that open files themselves. Raises WriteRefused on any failure of the disk; other exceptions of the block pass
+    as they are. Either way `path` is what it was and the temporary file is gone.
     """
     path = Path(path)
     if (check := _path_check.get()) is not None:
@@ -288,14 +271,7 @@ class Folder:
 def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[Folder]:
     """Build a folder aside that becomes `path`, in place of what was there, when the block ends well.
 
-    Yields
-    ------
-    folder : Folder
-
-    Raises
-    ------
-    WriteRefused
-        As `replacing` does. The old folder is kept until the new one is whole.
+    Raises as `replacing` does. The old folder is kept until the new one is whole.
     """
     path = Path(path)
     if (check := _path_check.get()) is not None:
@@ -413,21 +389,9 @@ def together(before: Callable[[], object] | None = None) -> Iterator[None]:
     """Let what this thread writes in the block take its names only when the block ends well.
 
     Whatever may fill the disk is then done: where a file of several fails, all are what they were.
-    What `remove` is given in the block goes then too.
+    What `remove` is given in the block goes then too. `before` is called once when all is on the disk and nothing has its
+    name: the place to drop a record of what stands there until then. Raises WriteRefused.
 
-    Parameters
-    ----------
-    before : callable, optional
-        Called once when all is on the disk and nothing has its name: the place to drop a record of
-        what stands there until then.
-
-    Raises
-    ------
-    WriteRefused
-        Where the disk refuses the block, or a name.
-
-    Notes
-    -----
     A process that ends while names are taken leaves some of the new and some of the old files.
     """
     waiting: list[_Waiting] = []
@@ -499,21 +463,9 @@ def remove(path: str | Path) -> None:
 
 
 def move_files(names: Iterable[str], source: str | Path, target: str | Path) -> list[str]:
-    """Move files from one folder to another on the same disk; folders that are empty then go.
+    """Move files from one folder to another on the same disk, and return their names; folders that are empty then go.
 
-    Parameters
-    ----------
-    names : iterable of str
-        Relative to both folders; what is not there is left out.
-
-    Returns
-    -------
-    moved : list of str
-
-    Raises
-    ------
-    WriteRefused
-        Where the disk refuses; each file is then in one of the two.
+    Names are relative to both folders; what is not there is left out. Where the disk refuses, each file is in one of the two.
     """
     source, target = Path(source), Path(target)
     moved = []

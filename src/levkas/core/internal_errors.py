@@ -23,11 +23,7 @@ _ADDRESS = re.compile(r"\b0x[0-9a-f]{4,}\b")
 class InternalError(Refused):
     """Refusal of one capture or page for an exception that no check foresaw.
 
-    Parameters
-    ----------
-    *problems : Problem
-    report : str
-        Text to send to the authors: versions, what was worked on, the traceback.
+    `report` is a text to send to the authors: versions, what was worked on, the traceback.
     """
 
     def __init__(self, *problems: Problem, report: str = "") -> None:
@@ -39,18 +35,8 @@ class InternalError(Refused):
 
 
 def as_refusal(error: Exception, what: str, file: str | Path | None = None) -> Refused:
-    """Return the refusal of what was worked on when an exception came; a refusal is returned as it is.
+    """Return the refusal of `what` was worked on, of which `file` is the first frame; a refusal is returned as it is.
 
-    Parameters
-    ----------
-    error : exception
-    what : str
-        What was worked on, ``icon1/d80 calibrate``.
-    file : path, optional
-        Its first frame.
-
-    Examples
-    --------
     >>> try:
     ...     1 / 0
     ... except ZeroDivisionError as error:

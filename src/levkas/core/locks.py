@@ -33,15 +33,8 @@ class Taken(Refused):
 def locked(path: Path, *, patience_s: float = PATIENCE_S) -> Iterator[None]:
     """Hold the file `path` alone in the block; it is made for that and removed after.
 
-    A lock ends with the process that holds it, however that ends. On a file system without locks
-    the block is entered all the same.
-
-    Raises
-    ------
-    Taken
-        ``E_BUSY``, where another holds it for `patience_s` seconds.
-    WriteRefused
-        Where the file cannot be made.
+    On a file system without locks the block is entered all the same. Raises Taken, ``E_BUSY``, where another holds it for
+    `patience_s` seconds, and WriteRefused where the file cannot be made.
     """
     from filelock import FileLock, Timeout
 

@@ -46,15 +46,8 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
 
 
 def count_threads(most: int | None = None) -> int:
-    """Return how many threads work at a time: $LEVKAS_THREADS, else the processors we may use.
+    """Return how many threads work at a time: $LEVKAS_THREADS, else the processors we may use, `most` of them.
 
-    Parameters
-    ----------
-    most : int, optional
-        More are of no use to the caller.
-
-    Examples
-    --------
     >>> count_threads(most=1)
     1
     """
@@ -64,17 +57,10 @@ def count_threads(most: int | None = None) -> int:
 
 
 def tile_rows(chosen: int, whole: int) -> int:
-    """Return how many rows are worked on at a time: $LEVKAS_TILE, else what the caller has `chosen`.
+    """Return how many rows are worked on at a time: $LEVKAS_TILE, else what the caller has `chosen` by the memory they take.
 
-    Parameters
-    ----------
-    chosen : int
-        By the memory that a block of rows takes.
-    whole : int
-        All rows there are: what ``LEVKAS_TILE=whole`` gives, and never less than what is returned.
+    ``LEVKAS_TILE=whole`` gives the `whole`: all rows there are, of which no more are returned.
 
-    Examples
-    --------
     >>> tile_rows(256, 100)
     100
     """

@@ -59,13 +59,7 @@ def stands_in(folder: Path) -> str:
 
 
 def require_free(path: str | Path, *, overwrite: bool = False) -> Path:
-    """Refuse to replace an existing file, unless `overwrite` is set.
-
-    Raises
-    ------
-    WriteRefused
-        ``E_UNWRITABLE``; with `overwrite`, only where the name is not a file's, or in a database.
-    """
+    """Refuse to replace an existing file; with `overwrite`, only where the name is not a file's, or in a database."""
     path = Path(path)
     require_outside(path, fix="Give another name: a database holds only what a build writes.")
     found = what_stands_at(path) if os.path.lexists(path) else ""
@@ -117,11 +111,7 @@ def is_address(path: str | Path) -> bool:
 class OwnFiles:
     """Files that are written into a folder one by one, beside other files.
 
-    Parameters
-    ----------
-    folder : path
-    overwrite : bool
-        Whether files that are not ours, or were changed since, may be replaced.
+    With `overwrite` files that are not ours, or were changed since, may be replaced.
     """
 
     def __init__(self, folder: str | Path, *, overwrite: bool = False) -> None:
@@ -134,13 +124,7 @@ class OwnFiles:
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
-        """Let what this thread writes in the block replace only files of ours.
-
-        Raises
-        ------
-        WriteRefused
-            Before a file is replaced that the record does not have, or that is not what it says.
-        """
+        """Let what this thread writes in the block replace only files of ours; raises WriteRefused before it replaces another."""
         from levkas.core.files import before_writing
 
         touched: list[Path] = []

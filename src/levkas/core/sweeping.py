@@ -15,11 +15,7 @@ def sweep(folder: str | Path) -> list[Path]:
     """Take away what killed runs of Levkas left under partial names, in `folder` and below.
 
     A partial file that a living process still writes is locked by it and stays. `folder` must be
-    one that Levkas made.
-
-    Returns
-    -------
-    removed : list of Path
+    one that Levkas made. What was removed is returned.
     """
     removed: list[Path] = []
     for place, folders, names in os.walk(folder):

@@ -43,13 +43,7 @@ class TextRefused(Refused):
 
 
 def check_file(path: Path, expected: str) -> None:
-    """Refuse what is no plain file: opening a pipe waits for ever, a device has no end.
-
-    Raises
-    ------
-    TextRefused
-        ``E_UNREADABLE`` with what was found instead.
-    """
+    """Refuse what is no plain file: opening a pipe waits for ever, a device has no end."""
     found = what_stands_at(path)
     if found != "a file":
         raise TextRefused(
@@ -65,15 +59,8 @@ def check_file(path: Path, expected: str) -> None:
 
 
 def unusable_name(path: str | Path) -> str:
-    """Return in words why no file can bear a path; ``""`` where one can.
+    """Return in words why no file can bear a path; ``""`` where one can. Bytes that are no UTF-8 are allowed.
 
-    Parameters
-    ----------
-    path : str or Path
-        Bytes that are no UTF-8, as Python keeps them in names, are allowed.
-
-    Examples
-    --------
     >>> unusable_name("a" * 256 + "/b.tif")
     'a part of the name has 256 bytes; at most 255 are possible'
     """
@@ -143,17 +130,8 @@ def missing_path(path: Path, what: str = "folder") -> Problem | None:
 def read_text(path: Path, expected: str, *, most: int = LARGEST_TABLE) -> str:
     """Read a text in UTF-8 of at most `most` bytes; line ends come as they are.
 
-    Parameters
-    ----------
-    path : Path
-    expected : str
-        What it should be, for the refusal: ``"a CSV in UTF-8"``.
-    most : int
-
-    Raises
-    ------
-    TextRefused
-        ``E_UNREADABLE``, or ``E_SIZE`` where it is too long; no more than `most` bytes are read.
+    `expected` is what it should be, for the refusal: ``"a CSV in UTF-8"``. Raises TextRefused, ``E_UNREADABLE``, or
+    ``E_SIZE`` where it is too long; no more than `most` bytes are read.
     """
     check_file(path, expected)
     try:
@@ -216,13 +194,7 @@ def _too_large(name: str, file: str | None, most: int) -> TextRefused:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object of at most 16 MiB, without NaN, infinities or a key twice.
-
-    Raises
-    ------
-    TextRefused
-        Also where it is nested deeper than `DEEPEST`, or is no object.
-    """
+    """Read a JSON object of at most 16 MiB, without NaN, infinities or a key twice, nested no deeper than `DEEPEST`."""
     text = read_text(path, "a JSON table in UTF-8")
     if too_much := _too_much(text):
         what, found, expected = too_much
@@ -257,8 +229,6 @@ def read_json(path: Path) -> dict[str, Any]:
 def parse_json(text: str) -> Any:
     """Parse JSON without NaN, infinities, halves of characters or a key twice; raises ValueError.
 
-    Examples
-    --------
     >>> parse_json('{"a": 1, "a": 2}')
     Traceback (most recent call last):
     ValueError: the key 'a' occurs twice

@@ -8,25 +8,10 @@ _SAME_SIZE = {1: np.uint8, 2: np.uint16, 4: np.int32, 8: np.float64}
 
 
 def transpose(matrix: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the transpose of a matrix, bit for bit, byte order kept.
+    """Return the transpose of a matrix of any type, bit for bit, byte order kept.
 
-    Parameters
-    ----------
-    matrix : ndarray, (a, b), of any type
-    out : ndarray, (b, a), of the same type, optional
-        Written to, and returned; also a part of a larger array whose rows lie apart.
+    `out` is written to, and returned; it may be a part of a larger array whose rows lie apart.
 
-    Returns
-    -------
-    ndarray, (b, a)
-
-    Raises
-    ------
-    ValueError
-        Where `out` is of another shape or type.
-
-    Examples
-    --------
     >>> transpose(np.array([[1, 2, 3]], ">u2")).tolist()
     [[1], [2], [3]]
     """
