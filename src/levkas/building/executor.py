@@ -119,6 +119,7 @@ class Executor:
                     self._writing = task, self._writer.submit(work)
                     continue
                 step = work()
+                del write, work  # their cubes
             else:
                 step = self._outcomes.fresh(task.key)
             yield (step := self._outcomes.end(task, step))
