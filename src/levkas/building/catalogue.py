@@ -36,8 +36,7 @@ _OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv"
 def write_catalogue_of(outcomes: Outcomes, names: list[str], *, whole: bool = True) -> Step:
     """Catalogue, indices and manifest, where a layer came, changed or went; else nothing.
 
-    Where not the `whole` campaign is built, other objects keep their
-    rows; so does what a campaign no longer has where it is kept. A build that runs beside this one ends before or
+    Where not the `whole` campaign is built, other objects keep their rows. A build that runs beside this one ends before or
     after: the last to end has them all. A dry one says whether they are stale.
     """
     from levkas.building.claiming import in_turn

@@ -176,7 +176,9 @@ def _catalogue(plan: Plan, outcomes: Outcomes, *, whole: bool, stale: bool) -> S
     except Refused:
         raise
     except Exception as error:
-        refused = outcomes.records.with_report(CATALOGUE, as_refusal(error, "catalogue"))
+        refused = as_refusal(error, "catalogue")
+        if not outcomes.dry:
+            refused = outcomes.records.with_report(CATALOGUE, refused)
         return refused_step(CATALOGUE, refused)
 
 
