@@ -18,7 +18,6 @@ import shutil
 import subprocess
 import sys
 import threading
-from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -138,13 +137,11 @@ class Fault:
         return guarded
 
 
-def strike(scene, at, kind, *, writer=None):
+def strike(scene, at, kind):
     """Build a scene with a fault at its `at`-th step; return what it struck, what was torn and what a second build left so."""
     scene.set()
     fault = Fault(at, kind)
     with pytest.MonkeyPatch.context() as patch:
-        if writer:
-            writer(patch)
         fault.install(patch)
         with contextlib.suppress(Refused, Killed):
             scene.build()
@@ -293,33 +290,6 @@ def test_a_failed_write_leaves_no_threads_to_be_collected(tmp_path, monkeypatch)
         spectral_tiff.write_pages(tmp_path / "a.tif", [cube], header)
     assert refused.value.problems[0].code == "E_IO"
     assert pools and all(pool._shutdown for pool in pools)
-
-
-def write_carelessly(patch):
-    """Write straight under the final names."""
-
-    @contextlib.contextmanager
-    def replacing(path, *, bytes_needed=None):
-        path = Path(path)
-        files.make_folder(path.parent)
-        files.fault("open", path)
-        with path.open("wb", buffering=0) as handle:
-            files.fault("write", path)
-            yield handle
-
-    patch.setattr(files, "replacing", replacing)
-
-
-def test_a_careless_writer_is_found_out(scenes):
-    found = Counter()
-    scene = scenes["over"]
-    for at in spread(len(scene.steps) // 2, 12):
-        struck, torn, _ = strike(scene, at, "kill", writer=write_carelessly)
-        if (
-            struck and struck[0] == "write" and Path(struck[1]).name != NAME
-        ):  # that of sqlite is none of ours
-            found[bool(torn)] += 1
-    assert found[True], found
 
 
 def replay(scene, patch):
