@@ -7,7 +7,7 @@ holds some of a bright neighbour's light (0.7 % in a Bayer sensor behind a 550 n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -16,15 +16,7 @@ import numpy as np
 
 from levkas.calibration.darks import MatchedDark, dark_under
 from levkas.calibration.flatfield import require_dark
-from levkas.calibration.linearity import (
-    ALIKE,
-    PERIOD,
-    RECIPROCAL,
-    Linearity,
-    check_linearity,
-    find_bend,
-    find_points,
-)
+from levkas.calibration.linearity import PERIOD, RECIPROCAL, Linearity, check_linearity
 from levkas.calibration.motion import find_moved_between
 from levkas.calibration.noise_fit import NoiseModel
 from levkas.calibration.templates import (
@@ -94,14 +86,11 @@ class Merged:
     moved : ndarray of bool, shape of the frames, or None
         Where the exposures disagree by more than their noise and non-linearity explain; None where
         the noise is not known.
-    left_out : tuple of float, s
-        Exposures that do not scale with the others, and take no part.
     """
 
     template: Template
     linearity: Linearity
     moved: np.ndarray | None = None
-    left_out: tuple[float, ...] = ()
 
 
 def merge_exposures(
@@ -113,7 +102,6 @@ def merge_exposures(
     noise: NoiseModel | None = None,
     fit_offset: bool | None = None,
     period: tuple[int, int] = PERIOD,
-    choose: bool = False,
 ) -> Merged:
     """Merge exposures of one still scene into counts a second.
 
@@ -132,9 +120,6 @@ def merge_exposures(
         clipped at black over more than half of their pixels, and so say little about it.
     period : (rows, columns)
         Of a mosaic's pattern.
-    choose : bool
-        Leave out exposures that do not scale with the others, instead of refusing; where no two
-        scale, take the best one alone. A misfit that depends on the level is refused all the same.
 
     Raises
     ------
@@ -160,21 +145,11 @@ def merge_exposures(
         offered = [darks] if isinstance(darks, Template) else list(darks or ())
         fit_offset = bool(offered) and all(np.mean(dark.black) > 0.5 for dark in offered)
 
-    def scales(some: Sequence[Template]) -> Linearity:
-        return check_linearity(
-            some, darks, saturation=saturation, black=black, fit_offset=fit_offset, period=period
-        )
-
-    scaling = scales(timed)
-    kept = timed
+    scaling = check_linearity(
+        timed, darks, saturation=saturation, black=black, fit_offset=fit_offset, period=period
+    )
     if scaling.points and scaling.rms > RECIPROCAL:
-        if not choose:
-            raise CalibrationRefused(_does_not_scale(scaling))
-        if _bends(timed, darks, saturation, black, period):
-            raise CalibrationRefused(_does_not_scale(scaling, bent=True))
-        kept, scaling = _choose(timed, scaling, scales)
-    left_out = tuple(s.exposure_s or 0.0 for s in timed if all(s is not k for k in kept))
-    timed = kept
+        raise CalibrationRefused(_does_not_scale(scaling))
     unders = [dark_under(shot, darks, black=black) for shot in timed]
     for shot, under in zip(timed, unders, strict=True):
         require_dark(shot, under, noise)
@@ -185,7 +160,7 @@ def merge_exposures(
     ]
     apart = [cv2.dilate(marks.astype(np.uint8), NEXT_TO).reshape(marks.shape) > 0 for marks in full]
     allowed = noise
-    if noise is not None and len(timed) > 1:
+    if noise is not None:
         read, miss = read_variance_between(timed, levels, apart, noise.gain)
         more = max(read - noise.read_under(unders[0]), 0.0)
         noise = replace(noise, read_variance=noise.read_variance + more)
@@ -193,14 +168,14 @@ def merge_exposures(
     template = _merge(timed, unders, apart, USABLE * saturation, scaling.offset, noise)
     template = replace(template, shots=_light_of_exposures(timed, scaling))
     moved = None
-    if allowed is not None and len(timed) > 1:
+    if allowed is not None:
         moved = find_moved_between(
             *(timed, levels, template.mean, allowed),
             reads=[allowed.read_under(under) for under in unders],
             left_out=apart,
             period=period,
         )
-    return Merged(template, scaling, moved, left_out)
+    return Merged(template, scaling, moved)
 
 
 def read_variance_between(
@@ -384,57 +359,16 @@ def _check_series(timed: list[Template]) -> None:
     )
 
 
-def _choose(
-    timed: list[Template],
-    scaling: Linearity,
-    scales: Callable[[Sequence[Template]], Linearity],
-) -> tuple[list[Template], Linearity]:
-    """Leave out one exposure after the other, each time the one without which the rest scales best.
-
-    Returns
-    -------
-    kept : list of Template
-        Two or more that scale to within 1 %, or the best one alone.
-    scaling : Linearity
-        Of those; of a single one that of the last pair.
-    """
-    kept = timed
-    while len(kept) > 2:
-        rests = [[*kept[:k], *kept[k + 1 :]] for k in range(len(kept))]
-        found = [scales(rest) for rest in rests]
-        best = min(range(len(rests)), key=lambda k: found[k].rms if found[k].points else np.inf)
-        kept, scaling = rests[best], found[best]
-        if scaling.points and scaling.rms <= RECIPROCAL:
-            return kept, scaling
-    return [best_exposure(timed)], scaling
-
-
-def _bends(
-    timed: list[Template],
-    darks: Template | Sequence[Template] | None,
-    saturation: float,
-    black: float | np.ndarray | None,
-    period: tuple[int, int],
-) -> bool:
-    """Return whether exposures do not scale because the sensor is not linear."""
-    more: dict[str, Any] = {"saturation": saturation, "black": black, "period": period}
-    points = find_points(timed, darks, contrast=ALIKE, **more)
-    full = saturation - (0.0 if black is None else float(np.mean(black)))
-    bend = find_bend(points, full)
-    return bend.is_sure and abs(bend.size) > RECIPROCAL
-
-
-def _does_not_scale(scaling: Linearity, *, bent: bool = False) -> Problem:
+def _does_not_scale(scaling: Linearity) -> Problem:
     return Problem(
         "E_EXPOSURES",
-        "the sensor is not linear" if bent else "the counts are not proportional to the exposure",
+        "the counts are not proportional to the exposure",
         field="exposures",
         found=f"rms deviation {scaling.rms:.1%}, worst {scaling.worst:+.1%} "
         f"at {scaling.worst_at_s:g} s and {scaling.worst_level:.0f} counts",
         expected=f"at most {RECIPROCAL:.1%} rms",
-        fix='Set exposures = "best", and capture the white at the exposures of the object.'
-        if bent
-        else 'Check exposure times and black level, or set exposures = "best".',
+        fix="Check exposure times and black level, and leave out the frames of a wrong time. Of a sensor that is not linear "
+        'set exposures = "best", and capture the white at the exposures of the object.',
     )
 
 

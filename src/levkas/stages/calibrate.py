@@ -358,8 +358,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
     if exposed.shot.above_dark:
         white = white_of(context, whites, darks, noise=noise, merged=True)
     area = white_area_of(context, exposed.shot, white, darks)
-    notes = [check_scaling(context, exposed, white, (shots, whites), darks), exposed.note]
-    notes += area.notes
+    notes = [check_scaling(context, exposed, white, (shots, whites), darks), *area.notes]
     pattern = sensor.pattern
     note_light(context.measured, white, darks, pattern, [b.label for b in sensor.bands])
     defects = defects_of(darks, white, pattern, area.uncovered)
@@ -518,8 +517,7 @@ def _band(
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:
         plane = equalise_phases(*plane, sensor.pattern)
-    note_of_exposure = f"{label}: {exposed.note}" if exposed.note else ""
-    notes = tuple(note for note in (*flat.notes, doubt, note_of_exposure) if note)
+    notes = tuple(note for note in (*flat.notes, doubt) if note)
     return replace(flat, values=plane[0], flags=plane[1], variance=plane[2], notes=notes)
 
 

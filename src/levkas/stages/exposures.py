@@ -45,11 +45,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Exposed:
-    """An object's frames as one; merged exposures are above dark, and say what moved and what did not scale."""
+    """An object's frames as one; merged exposures are above dark, and say what moved."""
 
     shot: Template
     moved: np.ndarray | None = None
-    note: str = ""
 
 
 def average_shots(
@@ -80,7 +79,7 @@ def expose(
         return Exposed(shots[0])
     if context.camera.exposures == "merge":
         merged = _merge(context, shots, darks, noise)
-        return Exposed(merged.template, moved=merged.moved, note=_describe_choice(merged, shots))
+        return Exposed(merged.template, merged.moved)
     return Exposed(best_exposure(shots))
 
 
@@ -105,26 +104,7 @@ def _merge(
         saturation=saturation,
         black=context.black_level,
         noise=noise,
-        choose=True,
         **more,
-    )
-
-
-def _describe_choice(merged: Merged, shots: Sequence[Template]) -> str:
-    """Report which exposures do not scale with the others; empty where all were merged."""
-    if not merged.left_out:
-        return ""
-    taken = sorted({s.exposure_s or 0.0 for s in shots} - set(merged.left_out))
-    out = ", ".join(f"{t:g} s" for t in sorted(merged.left_out))
-    if len(taken) == 1:
-        return (
-            f"no two exposures are proportional within 1 %: only {taken[0]:g} s is used, {out} "
-            "not; check the times and the black level"
-        )
-    return (
-        f"the exposures of {out} are not proportional to "
-        f"{', '.join(f'{t:g} s' for t in taken)} within 1 % and are left out; check their "
-        "times"
     )
 
 
