@@ -11,9 +11,7 @@ from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Band, Cube, CubeRows, Flag
 from levkas.database.layers import Layer, write_layer
-from levkas.geometry.transforms import Affine
 from levkas.quality.image_quality import sharpness
-from levkas.registration.bands import BandImage
 from levkas.stages import capture_statistics
 from levkas.stages.calibrate import develop
 from levkas.stages.capture_statistics import (
@@ -24,7 +22,6 @@ from levkas.stages.capture_statistics import (
     focus_of,
 )
 from levkas.stages.exposures import mark_glare_in
-from levkas.stages.streaming import gains_of_scan
 from levkas.stages.template_cache import TemplateCache
 
 CAMPAIGN = """
@@ -99,20 +96,6 @@ def test_focus_of_lines_that_pass_by_is_that_of_the_whole_cube(monkeypatch, rows
     assert blurs == pytest.approx([np.sqrt(b**2 + 1 / 12) for b in (0.7, 1.2, 1.7)], rel=0.12)
 
 
-class Pictured:
-    """A scan as `gains_of_scan` sees it: its pictures."""
-
-    def __init__(self, values, factor):
-        self.factor = factor
-        h, w = (n // factor for n in values.shape[:2])
-        blocks = values[: h * factor, : w * factor].reshape(h, factor, w, factor, -1)
-        self._means = blocks.mean((1, 3)).astype(np.float32)
-
-    def images(self):
-        valid = np.ones(self._means.shape[:2], bool)
-        return [BandImage(str(b), 0.0, self._means[..., b], valid) for b in range(3)]
-
-
 @pytest.fixture
 def two_setups(tmp_path):
     """A painting of 96 x 120 px under two lightings, the default one published."""
@@ -133,16 +116,6 @@ def test_a_default_layer_of_another_size_is_not_compared_with(two_setups, tmp_pa
     paths = base.with_suffix(".tif"), base.with_suffix(".flags.tif")
     assert DefaultLayer.open(*paths, (96, 121, 3)) is None
     assert DefaultLayer.open(tmp_path / "none.tif", paths[1], (96, 120, 3)) is None
-
-
-@pytest.mark.parametrize("factor", [1, 3])
-def test_gains_of_a_scan_are_found_in_its_pictures(two_setups, factor):
-    layer, cube = two_setups
-    turned = np.ascontiguousarray(np.kron(cube.values, np.ones((2, 2, 1)))[::-1])
-    # Grid px → native px: twice the sampling, upside down.
-    there = Affine(np.array([[2.0, 0, 0.5], [0, -2.0, 2 * 96 - 1.5]]))
-    found = gains_of_scan(layer, Pictured(turned, factor), [there] * 3)
-    assert found == pytest.approx([1.1, 1.05, 0.95], abs=0.02)
 
 
 @pytest.mark.parametrize("rows", [1, 13, 96])

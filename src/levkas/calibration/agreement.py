@@ -76,11 +76,9 @@ class Contradiction:
 
     Parameters
     ----------
-    fact : ComparedFact
     severity : {"noted", "refused"}
     role : str
         Of the file.
-    path : Path
     found, expected : str
         Its value, and the other's.
     by : Path or str
@@ -210,10 +208,8 @@ def check_alike(
 
     Parameters
     ----------
-    camera : Camera
     first : (Facts, Path)
         Of the object's first frame, and its file.
-    alignments : sequence of Aligned
     values : ndarray
         Rows of the frame.
     path : Path

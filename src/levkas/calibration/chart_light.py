@@ -250,8 +250,6 @@ def fit_light(patches: Patches, outline: ChartOutline, shape: LightShape | None 
 
     Parameters
     ----------
-    patches : Patches
-    outline : ChartOutline
     shape : LightShape, optional
         Shape from another band, for one in which the grey patches alone are known: level only is fitted.
 
@@ -402,16 +400,13 @@ class ChartLight:
 
     Parameters
     ----------
-    maps : dict of label to LightMap
     times : dict of label to float or None
         Exposure of the chart, s.
     unevenness : dict of label to float
         What sensels differ by, relative: a white frame would divide it out.
-    scatter : dict of label to PatchScatter
     pattern : rows of channel names, optional
         Of a mosaic whose channels are the bands.
     size : (height, width)
-    notes : tuple of str
     record : dict
         By which chart, and how good: for the reports.
     """

@@ -220,13 +220,9 @@ MOST_BANDS = 16  # of a cube, each with a black of its own; of more the sensels'
 SMOOTH = 25  # sensels a side of a neighbourhood: its mean is known to a twenty-fifth of the noise
 GLOWS = 5.0  # deviations by which these means vary by more than noise makes them, from which on a dark glows
 ALIKE = 0.25  # share of the sensels of a glowing dark that noise and pattern are fitted to: those of middle level
-MOST_BASES = 40  # levels of a glowing dark at which the table is worked out, half a noise apart where that is fewer
 HOT = 5.0  # deviations of a sensel's mean beyond which its level is its own
 PAIRS, ENOUGH = (4, 64), 10_000  # of lines of a scan's dark; samples of a band in them
-LEVELS, MEANS = (
-    401,
-    2000,
-)  # of a sensel, and of its shots, in the table of their posterior; half as many do
+LEVELS = 401  # at which the moments of clipped shots are worked out
 
 
 def unclip(
@@ -261,8 +257,8 @@ def unclip(
 
     Notes
     -----
-    A sensel's level is normal about the black of its phase, the mean of its clipped shots normal about what
-    clipping leaves of that level. Its expected level is the posterior mean of that (empirical Bayes, [efron1973]_,
+    A sensel's level is spread about the black of its phase, the mean of its clipped shots about what clipping leaves
+    of that level. Its expected level is the linear estimate of least error (empirical Bayes, [efron1973]_,
     doi:10.1080/01621459.1973.10481350): with few shots close to black, with many its own. Hot sensels keep theirs.
     Where a dark glows, black is that of its neighbourhood.
 
@@ -404,57 +400,25 @@ def _own_levels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the expected level of each sensel from the mean of its `count` clipped shots, and its variance.
 
-    `base` is the level about which the sensels of a neighbourhood, or of all, are spread.
+    `base` is the level about which the sensels of a neighbourhood, or of all, are spread. About it the clipped mean is taken as
+    a line over the level.
     """
     fixed = level.fixed if np.isfinite(level.fixed) else 0.0
-    apart = max(level.noise / 2, float(np.ptp(base)) / MOST_BASES, 1e-9)
-    bases = float(base.min()) + apart * np.arange(int(np.ptp(base) / apart) + 2)
-    most, means, tables = _posterior(bases, count, level, fixed, step)
-    place = (base - bases[0]) / apart + np.zeros(mean.shape)
-    first = place.astype(int)
-    part = place - first
-    at = np.minimum(mean / (means[1] - means[0]), len(means) - 1.0)
-    own, variance = (
-        (1 - part) * _look_up(table, first, at) + part * _look_up(table, first + 1, at)
-        for table in tables
+    levels = np.linspace(base.min() - level.noise, base.max() + level.noise, LEVELS)
+    total = float(np.hypot(level.noise, fixed))
+    expected = clipped_moments(levels / step, total / step)[0] * step
+    spread = clipped_moments(levels / step, level.noise / step)[1] * step**2 / count
+    at, slope, noise = (
+        np.interp(base, levels, row) for row in (expected, np.gradient(expected, levels), spread)
     )
-    hot = mean > np.interp(base, bases, most)
+    share = slope * fixed**2 / (slope**2 * fixed**2 + noise)
+    own = base + share * (mean - at)
+    hot = mean > at + HOT * np.sqrt(noise + fixed**2)
     # Of few shots the mean is not normal: what that leaves is the same everywhere.
     if not hot.all():
         own = own + np.mean((base - own)[~hot])
-    found = np.where(hot, mean, own)
-    return found, np.where(hot, level.noise**2 / count, variance + level.black_error**2)
-
-
-def _posterior(
-    bases: np.ndarray, count: int, level: DarkLevel, fixed: float, step: float
-) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return, for some bases: the mean of clipped shots that is hot; means, and level and variance at each."""
-    deviations = np.linspace(-4.5, 4.5, LEVELS)
-    levels = bases[:, None] + fixed * deviations
-    expected, spread = (
-        moment.reshape(levels.shape)
-        for moment in clipped_moments(levels.ravel() / step, level.noise / step)
-    )
-    expected, spread = expected * step, spread * step**2 / count
-    middle = LEVELS // 2
-    most = expected[:, middle] + HOT * np.sqrt(spread[:, middle] + fixed**2)
-    means = np.linspace(0, float(most.max()), MEANS)
-    own, variance = np.empty((len(bases), MEANS)), np.empty((len(bases), MEANS))
-    for k, (mean, noise) in enumerate(zip(expected, spread, strict=True)):
-        chance = -((means[:, None] - mean) ** 2) / (2 * noise) - deviations**2 / 2
-        chance = np.exp(chance - chance.max(1, keepdims=True)) / np.sqrt(noise)
-        chance /= chance.sum(1, keepdims=True)
-        own[k] = chance @ levels[k]
-        variance[k] = np.maximum(chance @ levels[k] ** 2 - own[k] ** 2, 0.0)
-    return most, means, (own, variance)
-
-
-def _look_up(table: np.ndarray, row: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return the values of rows of a table between its columns."""
-    left = np.minimum(at.astype(int), table.shape[1] - 2)
-    share = at - left
-    return np.asarray((1 - share) * table[row, left] + share * table[row, left + 1])
+    variance = fixed**2 * (1 - share * slope) + level.black_error**2
+    return np.where(hot, mean, own), np.where(hot, level.noise**2 / count, variance)
 
 
 def _parts(shape: tuple[int, ...], period: tuple[int, int]) -> list[tuple]:

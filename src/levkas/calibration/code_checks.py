@@ -29,9 +29,6 @@ def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: fl
 
     Parameters
     ----------
-    values : ndarray
-    path : Path
-    camera : str
     bits : int
         Declared.
     full : float, optional

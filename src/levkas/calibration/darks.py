@@ -93,7 +93,6 @@ def dark_under(
 
     Parameters
     ----------
-    frame : Template
     darks, black
         As in `match_dark`, whose refusals are passed on.
 

@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
-from levkas.core.compiled import njit
 from levkas.core.problems import Problem
-from levkas.core.threads import in_threads
 
 CORRELATED = 0.1  # of neighbouring bands' noise, beyond what white noise would show
 MOST_KEPT = 0.45  # of the dimensions: beyond it noise has been taken for signal
@@ -77,7 +75,8 @@ def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
         spectra = spectra[np.isfinite(spectra).all(1)]
         if products is None:
             products = np.zeros((spectra.shape[1],) * 2)
-        in_threads(add_products, len(products), spectra, products)
+        wide = spectra.astype(np.float64)
+        products += wide.T @ wide
         pixels += len(spectra)
     bands = 0 if products is None else len(products)
     if products is None or bands < 3 or pixels < MORE_PIXELS * bands:
@@ -91,7 +90,7 @@ def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
                 fix="Remove `denoise` for this camera.",
             )
         )
-    return _hysime(np.triu(products) + np.triu(products, 1).T, pixels)
+    return _hysime(products, pixels)
 
 
 def _hysime(products: np.ndarray, pixels: int) -> Subspace:
@@ -157,13 +156,12 @@ class Projecting:
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Return lines, (lines, samples, bands), projected, and their variance; spectra with NaN as they are."""
 
-        spectra = np.array(_spectra(block))
+        spectra, basis = np.array(_spectra(block)), self.subspace.basis
         good = np.isfinite(spectra).all(1)
-        whole, across = spectra[good], np.ascontiguousarray(self.subspace.basis.T)
-        kept, removed = np.empty_like(whole), np.empty_like(whole)
-        in_threads(project, len(whole), whole, across, kept, removed)
+        whole = spectra[good].astype(np.float64)
+        kept = (whole @ basis) @ basis.T
+        away = whole - kept
         spectra[good] = kept
-        away = removed.astype(np.float64)
         every = np.zeros(spectra.shape)
         every[good] = away**2
         for line in every.reshape(block.shape):  # so that any blocks give one sum
@@ -173,14 +171,13 @@ class Projecting:
         self.most = max(self.most, float(lost.max(initial=0.0)))
         if variance is None:
             return spectra.reshape(block.shape), None
-        spread, basis = np.array(_spectra(variance)), self.subspace.basis
+        spread = np.array(_spectra(variance))
+        projector, known = basis @ basis.T, spread[good].astype(np.float64)
+        left = known @ projector**2
+        expected = left.sum(1) + known @ (1 - 2 * np.diag(projector))
         chance = 1 + 4 * np.sqrt(2 / (basis.shape[0] - basis.shape[1]))
-        known = spread[good]
-        projector = np.einsum("ik,jk->ij", basis, basis)  # the same whatever the threads of BLAS
-        in_threads(
-            project_variance, len(known), known, removed, projector, projector**2, chance, kept
-        )
-        spread[good] = kept
+        rare = (away**2).sum(1) > chance * expected
+        spread[good] = left + rare[:, None] * away**2
         return spectra.reshape(block.shape), spread.reshape(block.shape)
 
 
@@ -195,62 +192,3 @@ def describe_removed(subspace: Subspace, removed: np.ndarray, most: float) -> st
 
 def _spectra(block: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(block, np.float32).reshape(-1, block.shape[-1])
-
-
-TILE = 8  # bands whose sums stay in the first cache while the spectra pass by
-
-
-@njit(cache=True)
-def add_products(start, stop, spectra, products):  # type: ignore[no-untyped-def]
-    """Add Σ yᵢyⱼ to rows of `products`, (b, b); only what lies on and above the diagonal is whole."""
-    pixels, bands = spectra.shape
-    for first in range(start, stop, TILE):
-        last = min(first + TILE, stop)
-        for n in range(pixels):
-            for i in range(first, last):
-                value = np.float64(spectra[n, i])
-                for j in range(first, bands):
-                    products[i, j] += value * np.float64(spectra[n, j])
-
-
-@njit(cache=True)
-def project(start, stop, spectra, across, kept, removed):  # type: ignore[no-untyped-def]
-    """Fill the spectra's projection on the rows of `across`, (k, b), and what it removed."""
-    bands = spectra.shape[1]
-    line = np.empty(bands)
-    for n in range(start, stop):
-        line[:] = 0.0
-        for c in range(len(across)):
-            part = 0.0
-            for i in range(bands):
-                part += spectra[n, i] * across[c, i]
-            for i in range(bands):
-                line[i] += part * across[c, i]
-        for i in range(bands):
-            kept[n, i] = line[i]
-            removed[n, i] = spectra[n, i] - line[i]
-
-
-@njit(cache=True)
-def project_variance(  # type: ignore[no-untyped-def]
-    start, stop, variance, removed, projector, weights, most, found
-):
-    """Fill the variances of projected spectra; `projector` is P = EEᵀ, (b, b), `weights` its squares.
-
-    Σⱼ Pᵢⱼ² uⱼ²; where Σ removed² is more than `most` times what noise explains, removedᵢ² besides.
-    """
-    bands = variance.shape[1]
-    line = np.empty(bands)
-    for n in range(start, stop):
-        line[:] = 0.0
-        for j in range(bands):
-            spread = np.float64(variance[n, j])
-            for i in range(bands):
-                line[i] += weights[j, i] * spread
-        away, expected = 0.0, 0.0
-        for i in range(bands):
-            away += np.float64(removed[n, i]) ** 2
-            expected += line[i] + (1.0 - 2.0 * projector[i, i]) * np.float64(variance[n, i])
-        for i in range(bands):
-            more = np.float64(removed[n, i]) ** 2 if away > most * expected else 0.0
-            found[n, i] = line[i] + more

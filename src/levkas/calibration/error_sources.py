@@ -33,7 +33,6 @@ class ErrorSource:
     ----------
     name : str
         What errs.
-    unit : Unit
     size : mapping of str to float
         Standard uncertainty of each band, by label; bands without one are not known. Bands of one draw that it moves in opposite
         directions have opposite signs.
@@ -236,7 +235,6 @@ def uncertain_mean(
 
     Parameters
     ----------
-    mean : MeanSpectrum
     sources : iterable of ErrorSource
         Those common to a pixel are in `mean.random` and are left out; but for rows in units of sigma, which are shares of it that
         bands have in common, or a region, and leave the rest to each pixel and band. Two rows of one name in two units are two errors.

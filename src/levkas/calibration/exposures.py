@@ -145,14 +145,14 @@ def merge_exposures(
         offered = [darks] if isinstance(darks, Template) else list(darks or ())
         fit_offset = bool(offered) and all(np.mean(dark.black) > 0.5 for dark in offered)
 
+    unders = [dark_under(shot, darks, black=black) for shot in timed]
+    for shot, under in zip(timed, unders, strict=True):
+        require_dark(shot, under, noise)
     scaling = check_linearity(
         timed, darks, saturation=saturation, black=black, fit_offset=fit_offset, period=period
     )
     if scaling.points and scaling.rms > RECIPROCAL:
         raise CalibrationRefused(_does_not_scale(scaling))
-    unders = [dark_under(shot, darks, black=black) for shot in timed]
-    for shot, under in zip(timed, unders, strict=True):
-        require_dark(shot, under, noise)
     levels = [under.mean + np.float32(scaling.offset) for under in unders]
     early = _full_early(timed, levels, saturation)
     full = [

@@ -288,7 +288,6 @@ def require_dark(
     ----------
     frame : Template
         From which it is subtracted.
-    under : MatchedDark
     noise : NoiseModel, optional
         Of one shot. None: the noise is taken for one count.
     lit : bool

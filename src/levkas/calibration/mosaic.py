@@ -33,7 +33,6 @@ class Place:
 
     Parameters
     ----------
-    y, x : int
     shape : tuple of int
         Of the frame.
     table : ndarray, (rows, columns), int

@@ -2,7 +2,7 @@
 
 A raw value in photo-electrons is, Eq. (2), ``shot · (1 + u) + dark · (1 + v) + read`` with Poisson
 counts of means e and d, u ~ N(0, prnu), v ~ N(0, dsnu), read ~ N(0, read).  `simulation.sensing`
-draws frames from it; here are its moments, and plain draws to check them by.
+draws frames from it; here are its moments.
 """
 
 from __future__ import annotations
@@ -119,7 +119,6 @@ def snr_db(
     ----------
     exposure : float or ndarray, any shape
         Mean photo-electrons, >= 0.
-    sensor : Sensor
     subtract_dark : bool
         False counts the dark current as signal, as Figure 3 of the paper does.
 
@@ -141,68 +140,11 @@ def snr_db(
         return 10 * np.log10(mean / np.sqrt(noise_variance(e, sensor)))  # Eq. (1)
 
 
-def sample_values(
-    exposure: float, sensor: Sensor, count: int, rng: np.random.Generator
-) -> np.ndarray:
-    """Draw raw values of as many sensels, term by term of Eq. (2).
-
-    Parameters
-    ----------
-    exposure : float
-        Mean photo-electrons, >= 0.
-    sensor : Sensor
-    count : int
-        The paper draws 640 x 480.
-    rng : Generator
-
-    Returns
-    -------
-    values : ndarray, (count,), float64
-        Electrons, neither quantised nor clipped.
-
-    Notes
-    -----
-    SNR of 307,200 values lies within 0.02 dB of `snr_db`: half of the paper's dB is
-    10·log10(std) = 5·log10(variance), and a sample variance scatters by sqrt(2/n) = 0.26 %.
-    """
-    shot = rng.poisson(exposure, count) * (1 + rng.normal(0, sensor.prnu, count))
-    dark = rng.poisson(sensor.dark, count) * (1 + rng.normal(0, sensor.dsnu, count))
-    return shot + dark + rng.normal(0, sensor.read, count)  # Eq. (2)
-
-
-def crossover_exposures(sensor: Sensor) -> tuple[float, float]:
-    """Exposures at which shot noise overtakes the noise in the dark, and PRNU the shot noise.
-
-    Returns
-    -------
-    shot_from, prnu_from : float
-        Electrons; the second is infinite for a sensor without PRNU.
-
-    Examples
-    --------
-    >>> [round(e, 1) for e in crossover_exposures(Sensor())]
-    [57.4, 2771.1]
-    """
-    grown = 1 + sensor.prnu**2
-    shot_from = float(noise_variance(0.0, sensor)) / grown
-    return shot_from, grown / sensor.prnu**2 if sensor.prnu else float("inf")
-
-
-def snr_ceiling_db(sensor: Sensor) -> float:
-    """SNR that PRNU alone allows before flat-fielding, dB of Eq. (1).
-
-    >>> round(snr_ceiling_db(Sensor()), 2)
-    17.21
-    """
-    return -10 * float(np.log10(sensor.prnu)) if sensor.prnu else float("inf")
-
-
 def dynamic_range_db(sensor: Sensor, *, floor: float | None = None) -> float:
     """Full well over the smallest signal, in the paper's 20·log10.
 
     Parameters
     ----------
-    sensor : Sensor
     floor : float, optional
         Smallest signal in electrons. Left out, it is EMVA 1288's: the exposure whose SNR is one,
         ``sqrt(dark noise² + 1/4) + 1/2``. The paper's 63 dB puts 32 electrons here.
@@ -214,20 +156,3 @@ def dynamic_range_db(sensor: Sensor, *, floor: float | None = None) -> float:
     """
     least = np.sqrt(float(noise_variance(0.0, sensor)) + 0.25) + 0.5 if floor is None else floor
     return 20 * float(np.log10(sensor.full_well / least))
-
-
-def dynamic_range_stops(sensor: Sensor, *, floor: float | None = None) -> float:
-    """Full well over the smallest signal, in stops: log2, one stop being 6.02 dB.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    floor : float, optional
-        As in `dynamic_range_db`: EMVA 1288's when left out, 32 electrons for the paper's.
-
-    Examples
-    --------
-    >>> round(dynamic_range_stops(Sensor(), floor=32.0), 1), round(dynamic_range_stops(Sensor()), 1)
-    (10.5, 12.4)
-    """
-    return dynamic_range_db(sensor, floor=floor) / (20 * float(np.log10(2)))

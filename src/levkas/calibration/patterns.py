@@ -67,7 +67,6 @@ def channel_table(
 
     Parameters
     ----------
-    pattern : str or rows of names
     channels : sequence of str, optional
         Order to count in; default `channel_names`.
 

@@ -90,7 +90,6 @@ class Template:
         Number of shots.
     saturated, black : ndarray like `mean`, bool
         Whether any single shot was saturated, or clipped at black, there.
-    exposure_s : float, optional
     lost : ndarray like `mean`, bool, optional
         Where a shot was no finite number and `close_gaps` put another value. None: nowhere.
     absent : ndarray like `mean`, bool, optional

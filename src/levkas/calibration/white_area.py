@@ -52,7 +52,6 @@ class WhiteArea(NamedTuple):
     ----------
     uncovered : ndarray, (h, w), bool, or None
         Where it shows the object; None where it does so nowhere.
-    notes : tuple of str
     """
 
     uncovered: np.ndarray | None = None

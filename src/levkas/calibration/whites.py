@@ -64,7 +64,6 @@ def reflectance_table(board: WhiteBoard, shot: Template) -> np.ndarray:
     board : WhiteBoard
         One number, > 0, or one for each band of `shot`, or for each channel of its pattern: in the order of
         its labels, else as the pattern first shows them.
-    shot : Template
 
     Returns
     -------

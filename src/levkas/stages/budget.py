@@ -47,7 +47,6 @@ def budget_of(
         What calibration noted of each sensor.
     strayed : mapping, optional
         Stray light that charts of the camera showed, as `levkas.quality.targets.stray_light.OfView.to_dict` writes it.
-
     quantity : str
         Of the layer's values: ``"reflectance"`` or ``"counts"``.
 

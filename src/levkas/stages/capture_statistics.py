@@ -528,7 +528,6 @@ class Middle:
     Parameters
     ----------
     shape : (lines, samples, bands)
-    bands : sequence of Band
     """
 
     def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band]) -> None:

@@ -73,7 +73,6 @@ def subjects_of(
 
     Parameters
     ----------
-    database : path
     kind : str
         Chart that is looked for in layers; charts/ says its own.
     cameras : sequence of str

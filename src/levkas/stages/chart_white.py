@@ -78,7 +78,6 @@ def lights_by_chart(capture: Capture, campaign: Campaign, native: Native) -> dic
     ----------
     capture : Capture
         Whose sensors have frames of a `chart`.
-    campaign : Campaign
     native : Native
         Those frames, calibrated without a white.
 

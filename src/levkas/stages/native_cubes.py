@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import prod
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -33,96 +33,29 @@ if TYPE_CHECKING:
     from levkas.database.credits import Credits
     from levkas.database.layout import Places
     from levkas.geometry.transforms import Transform
-    from levkas.stages.capture_statistics import DefaultLayer
+    from levkas.stages.scans import Scan
     from levkas.stages.shared_noise import Mosaic
+    from levkas.stages.tiles import TiledCapture
 
-
-class CalibratedCapture(Protocol):
-    """One capture, calibrated and not resampled: held whole, or calibrated whenever its lines are needed."""
-
-    @property
-    def bands(self) -> tuple[Band, ...]:
-        """All bands, sensor by sensor."""
-
-    @property
-    def quantity(self) -> str:
-        """``"reflectance"`` where every sensor has it, else ``"counts"``."""
-
-    @property
-    def aligns(self) -> Mapping[str, object]:
-        """Native px of the first sensor → each, as declared: ``"measure"`` or a matrix."""
-
-    @property
-    def captured(self) -> str | None:
-        """Date of the first frame that states one, ISO 8601."""
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Of a scan complete when all lines have been calibrated once."""
-
-    @property
-    def measured(self) -> Mapping[str, dict[str, Any]]:
-        """What was measured of each sensor and its light on the way, for the reports."""
-
-    @property
-    def focus(self) -> list[dict[str, Any]]:
-        """Blur of the sharpest edges, band by band."""
-
-    @property
-    def is_streamed(self) -> bool:
-        """Whether lines are calibrated while they are written."""
-
-    @property
-    def factor(self) -> int:
-        """Side, px, of the blocks that make a pixel of `images`."""
-
-    @property
-    def thinning(self) -> int:
-        """Every so-many-th pixel a side of the layer makes its range and noise."""
-
-    @property
-    def white(self) -> float | None:
-        """Count that pictures of the layer show as white; None where the rows that come first show it."""
-
-    def images(self) -> list[BandImage]:
-        """Return every band as registration takes it."""
-
-    def size_of(self, label: str) -> list[int]:
-        """Return [width, height] of the sensor that recorded a band."""
-
-    def sensors(self) -> Iterator[tuple[str, Cube | CubeRows]]:
-        """Yield each sensor's name, empty for a camera of one sensor, and its pixels."""
-
-    def packed(self) -> CalibratedCapture:
-        """Return the capture as it is kept for the next stages, in less memory."""
-
-    def setup_gains(
-        self, default: DefaultLayer, maps: Mapping[str, Transform]
-    ) -> np.ndarray | None:
-        """Return the gains of this setup over the default one, by band; None where all rows come in one block."""
-
-    def noise_correlation(self, maps: Mapping[str, Transform], size: tuple[int, int]) -> np.ndarray:
-        """Return `shared_noise.neighbour_correlation` of the layer, by its first sensor."""
-
-    def on_grid(
-        self, maps: Mapping[str, Transform], size: tuple[int, int], *, spool: Path
-    ) -> Cube | CubeRows:
-        """Return the layer of (width, height) `size`, each pixel interpolated once; sigma can be taken once.
-
-        `maps` are grid px → native px by band; `spool` is a folder for what does not fit in memory.
-        """
+    CalibratedCapture: TypeAlias = "Native | Scan | TiledCapture"
+    """One capture, calibrated and not resampled: held whole, calibrated whenever its lines are needed, or in tiles."""
 
 
 @dataclass(frozen=True)
 class Native:
-    """A `CalibratedCapture` that is held whole: a cube a sensor.
+    """A capture that is held whole: a cube a sensor.
 
     Parameters
     ----------
     cubes : dict of str to Cube
         Sensor name → cube; the name is empty for a camera of one sensor.
-    aligns, captured, warnings, measured
-        As of `CalibratedCapture`.
+    aligns : dict of str to object
+        Native px of the first sensor → each, as declared: ``"measure"`` or a matrix.
+    captured : str, optional
+        Date of the first frame that states one, ISO 8601.
+    warnings : tuple of str
+    measured : dict of str to dict
+        What was measured of each sensor and its light on the way, for the reports.
     mosaics : dict of str to Mosaic
         Of the sensors whose values were demosaiced.
     sigmas : dict of str to PackedSigma or FiledSigma
@@ -137,7 +70,9 @@ class Native:
     mosaics: Mapping[str, Mosaic] = field(default_factory=dict)
     sigmas: dict[str, PackedSigma | FiledSigma] = field(default_factory=dict)
     factor: ClassVar[int] = 1
+    """Side, px, of the blocks that make a pixel of `images`."""
     thinning: ClassVar[int] = 1
+    """Every so-many-th pixel a side of the layer makes its range and noise."""
     white: ClassVar[float | None] = None
     is_streamed: ClassVar[bool] = False
 
@@ -191,9 +126,6 @@ class Native:
             if label in cube.labels:
                 return [cube.values.shape[1], cube.values.shape[0]]
         raise KeyError(label)
-
-    def setup_gains(self, default: DefaultLayer, maps: Mapping[str, Transform]) -> None:
-        """Return None: all rows come in one block."""
 
     def noise_correlation(self, maps: Mapping[str, Transform], size: tuple[int, int]) -> np.ndarray:
         """Return the correlation of the noise of neighbours on the grid, by the first sensor."""
@@ -386,7 +318,6 @@ def require_memory(capture: Capture, kind: str) -> None:
 
     Parameters
     ----------
-    capture : Capture
     kind : str
         Of its camera.
 

@@ -42,8 +42,6 @@ class ReferenceFrame:
 
     Parameters
     ----------
-    campaign : Campaign
-    places : Places
     captures : sequence of Capture
         Of the object, the reference camera's own first.
     native : CalibratedCapture

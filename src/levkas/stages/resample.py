@@ -22,6 +22,7 @@ from levkas.registration.record import decided
 from levkas.stages.capture_statistics import DefaultLayer, LayerStatistics, describe_flags
 from levkas.stages.native_cubes import least_bytes
 from levkas.stages.reference import maps_on_grid
+from levkas.stages.scans import Scan
 from levkas.stages.spectra import broad_centroids
 from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
@@ -47,8 +48,6 @@ class GridTarget:
 
     Parameters
     ----------
-    capture : Capture
-    layer : Layer
     size : (width, height)
     maps : dict of label to Transform
         Grid px → native px.
@@ -83,7 +82,7 @@ def target_of(
     width, height = grid["size"]
     shape = (height, width, len(native.bands))
     default = None
-    if capture.setup and native.quantity == "reflectance":
+    if capture.setup and native.quantity == "reflectance" and not isinstance(native, Scan):
         values, flags = (places.layer(name, capture.camera, kind=k) for k in (".tif", ".flags.tif"))
         default = DefaultLayer.open(values, flags, shape)
     verdict, encoded = decided(record["verdict"]), _is_encoded(capture, campaign)
@@ -103,7 +102,6 @@ class Resampled:
 
     Parameters
     ----------
-    rows : Cube or CubeRows
     statistics : LayerStatistics
         Of the rows that have passed.
     white : float or None
@@ -127,13 +125,14 @@ def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFram
     What is held whole is interpolated now; rows of a scan are when they are written.
     """
     size, default, maps = target.size, target.default, target.maps
-    gains = native.setup_gains(default, maps) if default else None
+    tiled = native if isinstance(native, TiledCapture) else None
+    gains = tiled.setup_gains(default, maps) if tiled and default else None
     rows = native.on_grid(maps, size, spool=frame.places.kept)
     correlation = None
     if rows.has_sigma and native.quantity == "reflectance":
         correlation = native.noise_correlation(maps, size)
     statistics = LayerStatistics(default, gains, native.thinning)
-    seams = native.seams if isinstance(native, TiledCapture) else None
+    seams = tiled.seams if tiled else None
     return Resampled(rows, statistics, native.white, correlation, seams)
 
 

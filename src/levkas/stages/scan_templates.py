@@ -68,7 +68,6 @@ class ScanFile:
 
     Parameters
     ----------
-    frame : FrameRef
     content : EnviFile or ndarray, (lines, samples, bands)
     """
 
@@ -119,8 +118,6 @@ class FrameLines:
 
     Parameters
     ----------
-    context : SensorContext
-    files : tuple of ScanFile
     times : Times
         Exposure of all of them.
     """

@@ -29,7 +29,7 @@ from levkas.stages.scan_lines import FlatLines, Strip, describe_loss
 from levkas.stages.scan_templates import block_lines
 from levkas.stages.shared_noise import neighbour_correlation
 from levkas.stages.spectra import board_of
-from levkas.stages.streaming import gains_of_scan, resample_scan
+from levkas.stages.streaming import resample_scan
 from levkas.stages.strips import JoinedStrips, lines_of_scan
 
 if TYPE_CHECKING:
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.geometry.transforms import Transform
-    from levkas.stages.capture_statistics import DefaultLayer
     from levkas.stages.template_cache import TemplateCache
 
 STREAMED_SAMPLES = 100_000_000
@@ -82,17 +81,16 @@ class ScanSummary(NamedTuple):
 
 @dataclass(eq=False)
 class Scan:
-    """A `CalibratedCapture` whose lines are calibrated whenever they are needed: a line scan.
+    """A capture whose lines are calibrated whenever they are needed: a line scan.
 
     Parameters
     ----------
-    context : SensorContext
     source : Strip or JoinedStrips
         Of its flat-fielded lines.
     where : str
         Object and layer, for warnings.
     captured, aligns
-        As of `CalibratedCapture`.
+        As of `native_cubes.Native`.
     stated : tuple of str
         Notes on what its files state.
     """
@@ -236,10 +234,6 @@ class Scan:
             return None
         shown = [np.where(i.valid, i.values, np.float32(np.nan))[::4, ::4] for i in self.images()]
         return counts_white(np.stack(shown, -1), find_rendering(self.bands), step=1)
-
-    def setup_gains(self, default: DefaultLayer, maps: Mapping[str, Transform]) -> np.ndarray:
-        """Return the gains of this setup over the default one, by band, of the scan's pictures."""
-        return gains_of_scan(default, self, [maps[band.label] for band in self.bands])
 
     def noise_correlation(self, maps: Mapping[str, Transform], size: tuple[int, int]) -> np.ndarray:
         """Return the correlation of the noise of neighbours on the grid."""

@@ -71,7 +71,6 @@ def neighbour_correlation(
     maps : sequence of Transform
         Grid px → native px, one a band: the middle one is taken.
     shape : (rows, columns) of the grid
-    mosaic : Mosaic, optional
     """
     one = [maps[len(maps) // 2]]
     slope = one[0].jacobian(np.array([[shape[1], shape[0]]]) / 2)[0]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import TYPE_CHECKING, BinaryIO, Protocol
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
-from levkas.core.cube import UNRELIABLE, Cube, CubeRows, Flag, is_flagged
+from levkas.core.cube import Cube, CubeRows, Flag
 from levkas.core.files import spooling
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem
@@ -18,8 +18,6 @@ from levkas.core.threads import made_ahead
 from levkas.geometry.pixel_maps import PixelMap, lay
 from levkas.geometry.resample import Warped, source_rows, warp
 from levkas.geometry.transforms import Affine, Composed
-from levkas.quality.image_quality.glare import setup_gains
-from levkas.stages.native_cubes import CalibratedCapture
 from levkas.stages.shared_noise import shared_by_strips
 
 if TYPE_CHECKING:
@@ -27,15 +25,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.geometry.transforms import Transform
-    from levkas.stages.capture_statistics import DefaultLayer
+    from levkas.stages.scans import Scan
 
 BUFFER_BYTES, ASKEW_BYTES = 300_000_000, 3_600_000_000
 """Of calibrated lines and of grid rows, together, the next ones being read meanwhile; and of a scan that lies askew."""
 SAMPLE_BYTES = 9
 MOST_ROWS, LEAST_ROWS, TURNED_ROWS = 256, 8, 32
 """Of the grid: in a strip whose maps are laid at once, and in a piece on the disk."""
-COMPARED = 20_000
-"""Pixels of a scan's pictures from which the ratio of two setups is taken, evenly over the layer."""
 
 
 class ScanRefused(CalibrationRefused):
@@ -54,69 +50,47 @@ def tilted(what: str) -> ScanRefused:
     )
 
 
-class CalibratedLines(CalibratedCapture, Protocol):
-    """A line scan of one sensor whose lines are calibrated whenever they are needed."""
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """(lines, samples, bands)."""
-
-    @property
-    def has_sigma(self) -> bool:
-        """Whether the noise is known."""
-
-    def blocks(self, start: int, stop: int) -> Iterator[Cube]:
-        """Yield lines `start` to `stop`, some at a time."""
-
-
 class BufferedLines:
-    """Two stretches of calibrated lines in turn: while one is read from, the next one is filled.
+    """Stretches of calibrated lines: lines that a stretch has in common with the one before are not calibrated again.
 
-    Lines that both have are copied, not calibrated again. What `hold` returned last but one is
-    written over. `shared`, (samples,), is how much more variance columns keep when they are resampled.
+    `shared`, (samples,), is how much more variance columns keep when they are resampled.
     """
 
-    def __init__(self, scan: CalibratedLines, shared: np.ndarray | None = None) -> None:
+    def __init__(self, scan: Scan, shared: np.ndarray | None = None) -> None:
         self._scan, self._shared = scan, shared
-        self._rooms: list[Cube] = []
-        self._last: tuple[int, int, Cube] | None = None
+        self._last: tuple[int, Cube] | None = None
 
     def hold(self, start: int, stop: int) -> Cube:
         """Return lines `start` to `stop`; sigma is replaced by its square."""
-        lines = _rows_of(self._room(stop - start), 0, stop - start)
-        fresh = start
+        shape, known = (stop - start, *self._scan.shape[1:]), self._scan.has_sigma
+        sigma = np.empty(shape, np.float32) if known else None
+        arrays = np.empty(shape, np.float32), np.empty(shape, np.uint8), sigma
+        lines, fresh = Cube(*arrays, self._scan.bands, self._scan.quantity), start
         if self._last is not None:
-            first, end, before = self._last
-            if first <= start < end:
-                fresh = min(end, stop)
-                old = _rows_of(before, start - first, fresh - first)
-                lines.values[: fresh - start] = old.values
-                lines.flags[: fresh - start] = old.flags
-                if lines.sigma is not None:
-                    lines.sigma[: fresh - start] = old.sigma
+            first, before = self._last
+            if first <= start < first + len(before.values):
+                fresh = min(first + len(before.values), stop)
+                _lay_lines(_rows_of(before, start - first, fresh - first), lines, 0)
+            self._last = before = None  # its memory goes before more is taken
         for cube in self._scan.blocks(fresh, stop):
-            rows = slice(fresh - start, fresh - start + len(cube.values))
-            fresh += len(cube.values)
-            lines.values[rows], lines.flags[rows] = cube.values, cube.flags
-            if lines.sigma is not None and cube.sigma is not None:
-                np.square(cube.sigma, out=lines.sigma[rows])
+            _lay_lines(cube, lines, fresh - start)
+            if lines.sigma is not None:
+                rows = slice(fresh - start, fresh - start + len(cube.values))
+                np.square(lines.sigma[rows], out=lines.sigma[rows])
                 if self._shared is not None:
                     lines.sigma[rows] *= self._shared[:, None]
+            fresh += len(cube.values)
             del cube  # before the next lines are made
-        self._last = start, stop, lines
+        self._last = start, lines
         return lines
 
-    def _room(self, lines: int) -> Cube:
-        """Return the room that is free, as large as requested."""
-        room = self._rooms.pop(0) if len(self._rooms) == 2 else None
-        if room is None or len(room.values) < lines:
-            room = None  # the smaller one goes before the larger one comes
-            shape = (lines, *self._scan.shape[1:])
-            sigma = np.empty(shape, np.float32) if self._scan.has_sigma else None
-            arrays = np.empty(shape, np.float32), np.empty(shape, np.uint8), sigma
-            room = Cube(*arrays, self._scan.bands, self._scan.quantity)
-        self._rooms.append(room)
-        return room
+
+def _lay_lines(part: Cube, lines: Cube, at: int) -> None:
+    """Copy a part to lines `at` on."""
+    rows = slice(at, at + len(part.values))
+    lines.values[rows], lines.flags[rows] = part.values, part.flags
+    if lines.sigma is not None and part.sigma is not None:
+        lines.sigma[rows] = part.sigma
 
 
 def _rows_of(cube: Cube, start: int, stop: int) -> Cube:
@@ -126,64 +100,8 @@ def _rows_of(cube: Cube, start: int, stop: int) -> Cube:
     return replace(cube, values=cube.values[rows], flags=cube.flags[rows], sigma=sigma)
 
 
-def gains_of_scan(
-    layer: DefaultLayer, scan: CalibratedCapture, maps: Sequence[Transform]
-) -> np.ndarray:
-    """Return `setup_gains` of a scan before its rows are resampled: of its pictures.
-
-    A pixel of the pictures is compared with the mean of as many grid pixels as it covers.
-
-    Parameters
-    ----------
-    maps : sequence of Transform
-        Grid px → native px, one a band.
-    """
-    height, width, _ = layer.values.shape
-    side = _side(maps[0], (height, width), scan.factor)
-    tall, wide = height // side, width // side
-    step = max(1, int(np.sqrt(tall * wide / COMPARED)))
-    across, down = np.arange(0, wide, step), np.arange(0, tall, step)
-    paint, known = _means(layer, down, across, side)
-    x, y = np.meshgrid(*(n * side + (side - 1) / 2 for n in (across, down)))
-    places = np.stack([x.ravel(), y.ravel()], 1)
-    values, flags = np.zeros(paint.shape, np.float32), np.full(paint.shape, Flag.OUTSIDE, np.uint8)
-    for band, (one, image) in enumerate(zip(maps, scan.images(), strict=True)):
-        # NaN, where a place is not known, is beyond any edge.
-        spots = np.rint(np.nan_to_num((one(places) + 0.5) / scan.factor - 0.5, nan=-9)).astype(int)
-        inside = ((spots >= 0) & (spots < image.values.shape[::-1])).all(1)
-        column, row = spots[inside].T
-        mask = inside.reshape(paint.shape[:2])
-        values[mask, band] = image.values[row, column]
-        flags[mask, band] = np.where(image.valid[row, column], 0, Flag.OUTSIDE)
-    return setup_gains(values, flags, paint, known)
-
-
-def _side(one: Transform, shape: tuple[int, int], factor: int) -> int:
-    """Return how many grid pixels a pixel of the pictures is wide, in the grid's middle."""
-    x, y = shape[1] / 2, shape[0] / 2
-    a, b, c = one(np.array([[x, y], [x + 1, y], [x, y + 1]]))
-    pixels = float(np.sqrt(np.linalg.norm(b - a) * np.linalg.norm(c - a)))
-    most = min(shape)
-    return int(np.clip(round(factor / pixels), 1, most)) if pixels > 0 else 1
-
-
-def _means(
-    layer: DefaultLayer, down: np.ndarray, across: np.ndarray, side: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the means of blocks of `side` x `side` px, and flags; one is not known where a pixel is not."""
-    values, flags = [], []
-    wide = (int(across[-1]) + 1) * side
-    for row in down:
-        part, marks = layer.rows(row * side, (row + 1) * side)
-        shape = (side, wide // side, side, part.shape[2])
-        lost = is_flagged(marks[:, :wide], UNRELIABLE).reshape(shape).any((0, 2))
-        values.append(np.nan_to_num(part[:, :wide]).reshape(shape).mean((0, 2))[across])
-        flags.append(np.where(lost, np.uint8(Flag.OUTSIDE), np.uint8(0))[across])
-    return np.stack(values), np.stack(flags)
-
-
 def resample_scan(
-    scan: CalibratedLines, maps: Sequence[Transform], size: tuple[int, int], *, spool: Path
+    scan: Scan, maps: Sequence[Transform], size: tuple[int, int], *, spool: Path
 ) -> CubeRows:
     """Return the grid's rows, each pixel and band interpolated once, as they are taken.
 
@@ -193,7 +111,6 @@ def resample_scan(
 
     Parameters
     ----------
-    scan : CalibratedLines
     maps : sequence of Transform
         Grid px → native px, one a band.
     size : (width, height) of the grid
@@ -239,7 +156,7 @@ class _Tile:
 
 
 def _in_rows(
-    scan: CalibratedLines,
+    scan: Scan,
     maps: Sequence[Transform],
     size: tuple[int, int],
     strip: int,
@@ -265,7 +182,7 @@ def _in_rows(
 
 
 def _tile(
-    scan: CalibratedLines,
+    scan: Scan,
     maps: Sequence[Transform],
     size: tuple[int, int],
     rows: tuple[int, int],
@@ -290,7 +207,7 @@ def _tile(
     return _Tile(top, stop, low, high, tuple(parts))
 
 
-def _resampled(scan: CalibratedLines, lines: Cube, tile: _Tile, width: int) -> Cube:
+def _resampled(scan: Scan, lines: Cube, tile: _Tile, width: int) -> Cube:
     """Resample; in place of sigma `lines` have its square."""
     shape = (tile.stop - tile.top, width, scan.shape[2])
     variance = lines.sigma
@@ -313,9 +230,7 @@ def _resampled(scan: CalibratedLines, lines: Cube, tile: _Tile, width: int) -> C
     return Cube(round_values(values, sigma, out=values), flags, sigma, scan.bands, scan.quantity)
 
 
-def _rows_at_once(
-    scan: CalibratedLines, maps: Sequence[Transform], size: tuple[int, int], most: int
-) -> int:
+def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int], most: int) -> int:
     """Return how many grid rows make a strip; 0 where even a few need lines of more than `most` bytes."""
     width, height = size
     _, samples, bands = scan.shape
@@ -332,9 +247,7 @@ def _rows_at_once(
         rows = ceil(rows / 2)
 
 
-def _turned(
-    columns: Iterator[Cube], scan: CalibratedLines, height: int, spool: Path
-) -> Iterator[Cube]:
+def _turned(columns: Iterator[Cube], scan: Scan, height: int, spool: Path) -> Iterator[Cube]:
     """Put columns on the disk in pieces, and yield rows."""
     bands, step = scan.shape[2], tile_rows(TURNED_ROWS, height)
     pieces: list[list[tuple[int, tuple[int, int, int], bool]]] = []
@@ -386,7 +299,7 @@ def _lay(maps: Sequence[Transform], shape: tuple[int, int], top: int) -> PixelMa
     return lay([shifted[id(one)] for one in maps], shape)
 
 
-def _nothing(scan: CalibratedLines, rows: int, width: int) -> Cube:
+def _nothing(scan: Scan, rows: int, width: int) -> Cube:
     shape = (rows, width, scan.shape[2])
     empty = np.full(shape, np.nan, np.float32)
     sigma = empty.copy() if scan.has_sigma else None

@@ -167,7 +167,6 @@ class Seam:
 
     Parameters
     ----------
-    joint : StripJoint
     ratio : float
         Spread of right less left over what both sigmas predict, median over bands; NaN without sigma.
     worst : (band, float)
@@ -228,7 +227,6 @@ class JoinedStrips:
         Left to right.
     seams : tuple of Seam
         Between neighbours.
-    notes : tuple of str
     """
 
     strips: tuple[_PlacedStrip, ...]

@@ -48,9 +48,6 @@ class TilesToReference:
 
     Parameters
     ----------
-    native : TiledCapture
-    frame : ReferenceFrame
-    campaign : Campaign
     options : dict
         Of the registration method.
     given : dict of tile to (pairs by hand by sensor, options set by hand)

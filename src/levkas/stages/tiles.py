@@ -83,7 +83,7 @@ class Placement:
 
 @dataclass(eq=False)
 class TiledCapture:
-    """A `CalibratedCapture` of tiles.
+    """A capture of tiles.
 
     Its native px are those of the reference, in which tiles are placed; each tile has its own beneath.
 
@@ -91,7 +91,6 @@ class TiledCapture:
     ----------
     capture : Capture
         With its tiles.
-    places : Places
     folder : Path or None
         Of the tiles' files; None where the database holds them.
     mosaics : dict of str to Mosaic
@@ -249,7 +248,6 @@ class TiledCapture:
 
         Parameters
         ----------
-        anchor : str
         box : (left, top, behind the right, behind the bottom), px of the mosaic, optional
             The part of it; default all.
         step : int
