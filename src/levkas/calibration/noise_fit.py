@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.patterns import channel_table, split
-from levkas.calibration.shot_noise import DIM, Groups, find_flattening
 from levkas.calibration.templates import MANY_PIXELS, Template, gaps_of
 
 if TYPE_CHECKING:
@@ -35,6 +34,7 @@ MANY_BLACK = 0.02  # a dark with more zeros than this was clipped, and its sprea
 BLOCK = 8
 OF_GROUP = 100.0  # degrees of freedom of a group of blocks
 ROUNDS = 4  # of the expected noise by which blocks of unlike signal are compared
+DIM = 0.5  # of the brightest group: the noise of those below is that of a linear sensor
 TENTH = 0.593  # lower tenth of chi-squared over its freedom: 64 differences count as 17 (Σρ² 3.78)
 SPREAD = 2.0  # highest over lowest signal that separates gain from read noise
 FEW_PIXELS = 20_000  # of a band that is compared: its variance by two shots is known to 1 %
@@ -175,11 +175,7 @@ def fit_noise_of_frames(
     if stacks:
         stacks += quiet
         under = [_dark_of(t, darks) for t in stacks] if darks else None
-        levels = [black] * len(stacks) if under is None else [dark.mean for dark in under]
-        period = (1, 1) if pattern is None else channel_table(pattern).shape
-        bent = find_flattening(smooth_groups(stacks, levels, step, period))
-        highest = bent.linear if bent else np.inf
-        fitted = fit_noise(stacks, under, black=black, step=step, highest=highest)
+        fitted = fit_noise(stacks, under, black=black, step=step)
     unread = fitted is not None and not quiet
     if (fitted is None or unread) and len(shots) == len(whites):
         under = [_dark_of(t, darks) for t in shots] if darks else None
@@ -208,7 +204,6 @@ def fit_noise(
     *,
     black: float | np.ndarray = 0.0,
     step: float = 1.0,
-    highest: float = np.inf,
 ) -> NoiseModel | None:
     """Fit the noise of a sensor to stacks of at least two shots.
 
@@ -222,8 +217,6 @@ def fit_noise(
         `black` is, counts, one number or of every pixel. Darks of several shots are stacks like others: pass them among `stacks`.
     step : float
         Counts from code to code; 0 where values are not rounded.
-    highest : float
-        Counts above dark beyond which pixels are left out: the sensor is full there, or not linear (`shot_noise`).
 
     Returns
     -------
@@ -255,8 +248,6 @@ def fit_noise(
     if signal.max() <= 0 or variance.max() <= 0:
         return None
     freedom = np.minimum(freedom, MOST_FREEDOM)
-    linear = signal <= highest
-    signal, variance, freedom = signal[linear], variance[linear], freedom[linear]
     gain, read = _line(signal, np.ones_like(signal), variance, freedom, step)
     return NoiseModel(gain, read, "temporal", step, lowest)
 
@@ -278,7 +269,7 @@ def compare_noise(
     Notes
     -----
     Where shot noise exceeds read noise: another gain multiplies that. What lies above half of the brightest counts may be
-    full, and lack noise for that (`shot_noise`). Where there is nothing else, as in a white alone, it is looked at, too, and less
+    full, and lack noise for that. Where there is nothing else, as in a white alone, it is looked at, too, and less
     than a fifth is taken for a sensor that is full, not for another gain.
 
     Examples
@@ -441,35 +432,15 @@ def fit_noise_single(
     return NoiseModel(gain, read, "spatial", step, lowest)
 
 
-def smooth_groups(
-    stacks: Sequence[Template],
-    levels: Sequence[np.ndarray | float],
-    step: float,
-    period: tuple[int, int] = (1, 1),
-) -> Groups:
-    """Return groups of the smooth pixels of stacks above their counts without light; none where none has two shots."""
-    groups = [
-        group
-        for stack, level in zip(stacks, levels, strict=True)
-        if stack.count > 1 and stack.variance is not None and stack.fit is None
-        for group in _groups(stack, None, level, step, period)
-    ]
-    return Groups(*np.reshape(groups, (-1, 3)).T)
-
-
 def _groups(
     stack: Template,
     dark: Template | None,
     black: float | np.ndarray,
     step: float,
-    smooth: tuple[int, int] | None = None,
     *,
     most: int = MANY_PIXELS,
 ) -> list[tuple[float, float, float]]:
-    """Return (signal, variance, degrees of freedom) of groups of pixels of one stack, of about `most` of them.
-
-    `smooth`: of the smoother half alone, by neighbours this period of a mosaic away, so that a camera that trembles adds nothing.
-    """
+    """Return (signal, variance, degrees of freedom) of groups of pixels of one stack, of about `most` of them."""
     thin = np.s_[:: max(1, stack.mean.size // most)]
     level = np.asarray(black if dark is None else dark.mean)
     if level.size > 1:
@@ -480,9 +451,6 @@ def _groups(
     keep = np.isfinite(signal) & np.isfinite(spread) & ~stack.saturated.ravel()[thin]
     if (gaps := gaps_of(stack, dark)) is not None:
         keep &= ~np.broadcast_to(gaps, stack.mean.shape).flat[thin]
-    if smooth is not None:
-        rough = _roughness(stack.mean, smooth, thin) / np.sqrt(np.maximum(signal, 1.0))
-        keep &= rough <= np.median(rough)
     if np.mean(clipped) > MANY_BLACK:
         keep &= ~clipped
     # Near black the clipping of single shots thins the spread where none was marked.
@@ -500,27 +468,6 @@ def _groups(
         variance = float(whole_variance(float(spread[still].mean()), step))
         found.append((float(signal[still].mean()), variance, float(freedom * len(still))))
     return found
-
-
-def _roughness(plane: np.ndarray, period: tuple[int, int], thin: slice) -> np.ndarray:
-    """Return how much the neighbours of its phase of each pixel of `thin` differ, counts; infinite at the border."""
-    (height, width), (down, across) = plane.shape[:2], period
-    values, step, bands = plane.ravel(), thin.step, plane.size // (height * width)
-    row, column = down * width * bands, across * bands
-    first, last = -(-max(row, column) // step), (plane.size - 1 - max(row, column)) // step
-    rough = np.full(-(-plane.size // step), np.inf, np.float32)
-    if last < first:
-        return rough
-
-    def beside(apart: int) -> np.ndarray:
-        return values[first * step + apart : last * step + apart + 1 : step]
-
-    rough[first : last + 1] = np.abs(beside(row) - beside(-row))
-    rough[first : last + 1] += np.abs(beside(column) - beside(-column))
-    border = np.ones((height, width, bands), bool)
-    border[down : height - down, across : width - across] = False
-    rough[border.ravel()[thin]] = np.inf
-    return rough
 
 
 def _largest_spread(spread: np.ndarray, freedom: int, step: float) -> float:

@@ -59,9 +59,9 @@ CLIPPED_DARKS, FULL_SCALE, BEND, STRAIGHTNESS = (
     "straightness",
 )
 QUIET_WHITE, SENSOR, OFFSET, WHITE_SHOTS = "quiet_white", "sensor", "offset", "white_shots"
-FLATTENING, UNLIKE_NOISE = "flattening", "unlike_noise"
+UNLIKE_NOISE = "unlike_noise"
 """Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, its bend and how straight it is, a white
-without shot noise, gain and noise, the counts that its exposure series have without light, shots of a white that differ, bright pixels with less noise than a linear sensor has, and
+without shot noise, gain and noise, the counts that its exposure series have without light, shots of a white that differ, and
 the variance of bands whose noise is not that of the others, over that."""
 BLACK, BLACK_ERROR = "black", 0.5
 """Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""

@@ -11,7 +11,6 @@ from levkas.calibration.sensor_context import (
     BEND,
     BLACK,
     CLIPPED_DARKS,
-    FLATTENING,
     FULL_SCALE,
     NAMED,
     OFFSET,
@@ -126,7 +125,6 @@ def describe_sensor(context: SensorContext) -> list[str]:
     return [
         *_describe_white_shots(context),
         *_describe_full_scale(context),
-        *_describe_flattening(context),
         *_describe_darks(context),
         *_describe_bend(context),
         *_describe_offset(context),
@@ -195,21 +193,6 @@ def _describe_bend(context: SensorContext) -> list[str]:
         f"{context.camera.name}: the sensor is not linear: by its exposure series its brightest values are "
         f"{100 * abs(bend):.2g} % too {'low' if bend > 0 else 'high'} beside dim ones. Nothing is corrected: values may be off by as much, "
         "unless the files are linearised before"
-    ]
-
-
-def _describe_flattening(context: SensorContext) -> list[str]:
-    found: dict[str, dict[str, float]] = context.measured.get(FLATTENING, {})
-    if not found:
-        return []
-    worst = min(found, key=lambda label: found[label]["share"])
-    signal, share = (found[worst][name] for name in ("signal", "share"))
-    where = f"{worst}; {len(found)} of {len(context.sensor.bands)} bands" if worst else "all bands"
-    return [
-        f"{context.camera.name}: at {signal:.0f} counts above the dark its brightest pixels, the white's among them, have {share:.0%} "
-        f"of the shot noise that a linear sensor has ({where}): the sensor is full there, or its response flattens; if so they "
-        "lack light, and reflectance is too high by as much. Capture the white with half the exposure. Frames that were "
-        "averaged or smoothed before have less noise, too, and lack nothing"
     ]
 
 

@@ -89,18 +89,13 @@ def calibrate(
         UnreadableCapture or CalibrationRefused, with the files in question; TooLarge.
     """
     if capture.tiles:
-        streamed = _streamed_tiles(capture, campaign)
         for tile in capture.tiles:
-            if tile.tile not in streamed:
-                require_memory(tile, campaign.cameras[capture.camera].kind)
+            require_memory(tile, campaign.cameras[capture.camera].kind)
         notes = {
             "warnings": tuple(_contradictions(capture, campaign, templates)),
             "captured": read_facts(capture.sensors[0].object[0].path).captured or "",
         }
-        tiles = (
-            (open_scan if tile.tile in streamed else develop)(tile, campaign, templates)
-            for tile in capture.tiles
-        )
+        tiles = (develop(tile, campaign, templates) for tile in capture.tiles)
         folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
         return TiledCapture(
             capture,
@@ -109,17 +104,11 @@ def calibrate(
             mosaics,
             tiles,
             notes,
-            streamed=streamed,
         )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     require_memory(capture, campaign.cameras[capture.camera].kind)
     return develop(capture, campaign, templates)
-
-
-def _streamed_tiles(capture: Capture, campaign: Campaign) -> frozenset[str]:
-    """Return the names of the tiles that are passes of a line scanner and too large to be held."""
-    return frozenset(one.tile for one in capture.tiles if is_streamed(one, campaign))
 
 
 def _contradictions(
@@ -201,14 +190,12 @@ def load_calibrated(
     """
     if capture.tiles:
         folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
-        streamed = _streamed_tiles(capture, campaign)
         return TiledCapture(
             capture,
             places,
             folder,
             mosaics,
             notes=dict(notes),
-            streamed=streamed,
         )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)

@@ -14,10 +14,9 @@ from levkas.calibration.clipped_darks import MANY_ZEROS
 from levkas.calibration.darks import level_under
 from levkas.calibration.drift import black_between, lamp_between
 from levkas.calibration.flatfield import pair_darks
-from levkas.calibration.noise_fit import UNLIKE, compare_noise, smooth_groups
+from levkas.calibration.noise_fit import UNLIKE, compare_noise
 from levkas.calibration.patterns import channel_table
-from levkas.calibration.sensor_context import FLATTENING, UNLIKE_NOISE
-from levkas.calibration.shot_noise import Groups, find_flattening
+from levkas.calibration.sensor_context import UNLIKE_NOISE
 from levkas.calibration.templates import level_of
 from levkas.calibration.whites import reflectance_table
 from levkas.stages.capture_statistics import (
@@ -56,8 +55,6 @@ def note_shots(
 ) -> None:
     """Note in `measured` what a sensor's frames and its values, `flat`, say of each band's uncertainty."""
     labels, scanned = board.labels or (), context.camera.traits.is_scanned
-    if white is not None and not scanned and context.light is None:
-        _note_shot_noise(context, (shot, white), dark, labels)
     if white is None and context.camera.white_chart is not None:
         taken = dict.fromkeys(labels, shot.exposure_s)
         context.measured.setdefault("exposures_s", {}).update(taken)
@@ -108,24 +105,6 @@ def _note_code_spacing(
     context.measured.setdefault(ROUNDING, {}).update(found)
 
 
-def _note_shot_noise(
-    context: SensorContext,
-    stacks: Sequence[Template],
-    darks: Sequence[Template],
-    labels: Sequence[str],
-) -> None:
-    """Note in `measured` where a band's bright pixels have less noise than a linear sensor."""
-    some = [*(stack for stack in stacks if not stack.above_dark), *darks]
-    levels = [level_under(one, darks, black=context.black_level) for one in some]
-    groups = [
-        smooth_groups([one], [level], context.step, context.period)
-        for one, level in zip(some, levels, strict=True)
-    ]
-    if found := find_flattening(_joined(groups)):
-        name = labels[0] if len(labels) == 1 else ""
-        context.measured.setdefault(FLATTENING, {})[name] = found._asdict()
-
-
 def _note_unlike_channels(
     context: SensorContext,
     stacks: Sequence[Template | None],
@@ -151,13 +130,6 @@ def _of_phase(stack: Template, phase: Phase) -> Template:
         if (array := getattr(stack, name)) is not None
     }
     return replace(stack, shots=None, **arrays)
-
-
-def _joined(parts: Sequence[Groups]) -> Groups:
-    """Return the groups of several stacks as one."""
-    if not parts:
-        return Groups(*np.empty((3, 0)))
-    return Groups(*(np.concatenate(rows) for rows in zip(*parts, strict=True)))
 
 
 def _channels(board: WhiteBoard, channels: int) -> np.ndarray:

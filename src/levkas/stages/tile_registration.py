@@ -72,7 +72,7 @@ class TilesToReference:
     def run(self) -> dict[str, FoundTile]:
         """Return every tile as it was found."""
         names = [part.tile for part in self._native.capture.tiles]
-        detail = {name: detail_of(self._native.pictures(name)[0], self._label) for name in names}
+        detail = {name: detail_of(self._native.tile(name).images(), self._label) for name in names}
         waiting = sorted(names, key=lambda name: (-detail[name], name))
         again = []
         while waiting:
@@ -89,7 +89,7 @@ class TilesToReference:
         return {name: self.found[name] for name in names}
 
     def _register(self, name: str) -> FoundTile:
-        images, factor = self._native.pictures(name)
+        images, factor = self._native.tile(name).images(), 1
         size = self._native.size_of_tile(name, self._label)
         expected = self._begun_by_hand(name) or self._predicted(name)
         expected = expected or self._begin(images, factor)

@@ -23,10 +23,7 @@ from levkas.quality.image_quality.glare import setup_gains
 from levkas.registration.bands import BandImage, share_of_most
 from levkas.registration.record import RegistrationRefused
 from levkas.stages.native_cubes import Native, part_name, read_native
-from levkas.stages.scan_templates import block_lines
-from levkas.stages.scans import Pictures, Scan, factor_of
 from levkas.stages.shared_noise import neighbour_correlation, shared_noise
-from levkas.stages.streaming import ASKEW_BYTES, SAMPLE_BYTES, tilted
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,8 +42,6 @@ MOST_SAMPLES = 100_000_000
 """Of the pictures of a mosaic as registration takes them, half a gigabyte; of a larger one there are fewer bands."""
 THINNED_SAMPLES, THINNED = 100_000_000, 16
 """Of a layer of more values every sixteenth pixel a side makes its range and noise."""
-NODES = 17
-"""Places along a row of the grid at which lines of a pass are looked up that it needs."""
 COMPARED_BLOCKS = 12
 """Of rows, over the layer, in which two setups are compared."""
 
@@ -95,14 +90,12 @@ class TiledCapture:
         Of the tiles' files; None where the database holds them.
     mosaics : dict of str to Mosaic
         By sensor.
-    developed : iterator of Native or Scan
+    developed : iterator of Native
         Its tiles as they are calibrated, one after another, in their order; taken once. Empty where they are in files.
     notes : dict
         As `stages.calibrate.write_calibrated` returned them; filled while tiles are calibrated.
     placement : Placement, optional
         Else that of the layer's registration record.
-    streamed : frozenset of str
-        Tiles that are passes of a line scanner and too large to be held.
     seams : Seams or None
         What tiles differ by where they meet, of the rows that were joined.
     """
@@ -111,10 +104,9 @@ class TiledCapture:
     places: Places
     folder: Path | None
     mosaics: Mapping[str, Mosaic]
-    developed: Iterator[Native | Scan] = field(default_factory=lambda: iter(()))
+    developed: Iterator[Native] = field(default_factory=lambda: iter(()))
     notes: dict[str, Any] = field(default_factory=dict)
     placement: Placement | None = None
-    streamed: frozenset[str] = frozenset()
     seams: Seams | None = None
     factor: ClassVar[int] = 1
     white: ClassVar[float | None] = None
@@ -202,21 +194,6 @@ class TiledCapture:
         """Return a tile, held whole."""
         part = next(one for one in self.capture.tiles if one.tile == name)
         return read_native(part, self.places, self.notes, self.mosaics, self.folder)
-
-    def pictures(self, name: str) -> tuple[list[BandImage], int]:
-        """Return the bands of a tile as registration takes them, and the side, px of the tile, of the blocks that make their pixels."""
-        part = next(one for one in self.capture.tiles if one.tile == name)
-        values, flags, _ = self.pages(name, part.sensors[0].name)
-        factor = factor_of(values.shape) if name in self.streamed else 1
-        if factor == 1:
-            return self.tile(name).images(), 1
-        gathered = Pictures(values.shape, self.bands, factor)
-        step = block_lines(values.shape)
-        for start in range(0, values.shape[0], step):
-            rows = start, min(start + step, values.shape[0])
-            lines = values.read(*rows), flags.read(*rows)
-            gathered.add(Cube(*lines, None, self.bands, self.quantity))
-        return gathered.images(), factor
 
     def size_of_tile(self, name: str, label: str) -> tuple[int, int]:
         """Return (width, height) of the frame in which a tile has a band."""
@@ -345,15 +322,8 @@ class TiledCapture:
         *,
         spool: Path | None = None,
     ) -> CubeRows:
-        """Return the layer, joined as its rows are taken.
-
-        Raises
-        ------
-        ScanRefused
-            ``E_SIZE`` where a few rows need more lines of a large pass of a scanner than may be held.
-        """
+        """Return the layer, joined as its rows are taken."""
         joiner = _Joiner(self, maps, size)
-        joiner.require_memory()
         self.seams = joiner.seams
         blocks = (joiner.rows(start, stop) for start, stop in joiner.blocks())
         shape = (size[1], size[0], len(self.bands))
@@ -432,18 +402,6 @@ class _Joiner:
         width, height = self._size
         rows = int(np.clip(BLOCK_SAMPLES // (width * len(self._source.bands)), 4, MOST_ROWS))
         return [(top, min(top + rows, height)) for top in range(0, height, rows)]
-
-    def require_memory(self) -> None:
-        """Refuse passes of a scanner that are too large to be held and of which some rows need all lines."""
-        rows = self.blocks()[0][1]
-        for tile in self.tiles:
-            left, top, right, bottom = tile.box
-            x, y = np.linspace(left, right, NODES), [top, min(top + rows, bottom)]
-            nodes = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-            lines = np.ptp(tile.maps[self._source.bands[0].label](nodes)[:, 1])
-            needed = lines * tile.size[0] * len(self._source.bands) * SAMPLE_BYTES
-            if tile.name in self._source.streamed and needed > ASKEW_BYTES:
-                raise tilted(f"tile {tile.name}")
 
     def rows(self, start: int, stop: int) -> Cube:
         """Return some rows of the layer."""
