@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,11 +44,10 @@ def doubts_of(context: SensorContext) -> list[str]:
         doubts += context.light.notes
     elif not context.sensor.white and not context.holds_reflectance:
         doubts.append("no white is declared: the cube remains in counts")
-    elif context.sensor.white and targets.white and not isinstance(targets.white.reflectance, str):
-        given = targets.white.reflectance
+    elif context.sensor.white and targets.white and targets.white.reflectance is None:
         doubts.append(
-            f"the reflectance of the white is assumed to be {1.0 if given is None else given:g} "
-            "at every wavelength; give a CSV of its spectrum in targets.white.reflectance"
+            "the reflectance of the white is assumed to be 1 at every wavelength; give it, or a CSV of its spectrum, in "
+            "targets.white.reflectance"
         )
     return doubts
 
@@ -122,130 +121,102 @@ def _doubt_bits(context: SensorContext) -> list[str]:
 
 def describe_sensor(context: SensorContext) -> list[str]:
     """Report what was measured of a sensor that a person should know: where it is full, its black, its curve, darks that were clipped."""
-    return [
-        *_describe_white_shots(context),
-        *_describe_full_scale(context),
-        *_describe_darks(context),
-        *_describe_bend(context),
-        *_describe_offset(context),
-        *_describe_black(context),
-        *_describe_noise(context),
-        *_describe_unlike_noise(context),
-    ]
-
-
-def _describe_white_shots(context: SensorContext) -> list[str]:
-    if not (found := context.measured.get(WHITE_SHOTS)):
-        return []
-    return [
-        f"{context.camera.name}: shots of the white differ by up to {100 * max(found.values()):.2g} % from place to place: something "
-        "moved, or the light flickers in bands. Values there may be wrong by as much"
-    ]
-
-
-def _describe_noise(context: SensorContext) -> list[str]:
-    if context.measured.get(SENSOR, {}).get("source") != "spatial":
-        return []
-    return [
-        f"{context.camera.name}: noise is estimated from the smooth parts of single shots, and sigma is no surer than these: "
-        "capture two shots or more of each target"
-    ]
-
-
-def _describe_unlike_noise(context: SensorContext) -> list[str]:
-    """Report in which bands the noise is that of another gain, and what became of their sigma."""
-    found: dict[str, float] = context.measured.get(UNLIKE_NOISE, {})
-    if not found:
-        return []
-    factors = {label: max(ratio, 1 / ratio) for label, ratio in found.items()}
-    worst = max(factors, key=lambda label: factors[label])
-    name, count = context.camera.name, len(context.sensor.bands)
-    noise = (
-        f"{name}: at like signal the variance of the noise differs from band to band, by a factor of "
-        f"{factors[worst]:.2g} at {worst} ({len(found)} of {count} bands)"
+    found = context.measured
+    notes = (
+        *_notes_of_white(found),
+        *_notes_of_darks(found.get(CLIPPED_DARKS, {})),
+        *_notes_of_series(found),
+        *_notes_of_noise(context),
     )
-    if context.camera.traits.bands_in == "files":
-        return [
-            f"{noise}: the camera sets gain or black level by itself, or shots of these bands differ. Their sigma is by their own shots. "
-            "Capture all bands with one setting"
-        ]
-    off = [100 * (ratio**-0.5 - 1) for ratio in found.values()]
-    return [
-        f"{noise}: the channels were multiplied, as a white balance does. Sigma there is off by {_range(off, '+.0f')} %. "
-        "Export raw frames without white balance"
-    ]
+    return [f"{context.camera.name}: {note}" for note in notes]
 
 
-def _describe_black(context: SensorContext) -> list[str]:
-    found = context.measured.get(BLACK)
-    if not found:
-        return []
-    return [
-        f"{context.camera.name}: the black level is {found['counts']:.1f} ± {found['error']:.1f} counts, by exposures of one scene: "
-        "darks of one time alone do not show it. `black` in campaign.toml states it"
-    ]
+def _notes_of_white(measured: Mapping[str, Any]) -> Iterator[str]:
+    if apart := measured.get(WHITE_SHOTS):
+        yield (
+            f"shots of the white differ by up to {100 * max(apart.values()):.2g} % from place to place: something moved, or the "
+            "light flickers in bands. Values there may be wrong by as much"
+        )
+    if (quiet := measured.get(QUIET_WHITE)) is not None:
+        yield (
+            "the white has no more noise than the dark, and light has shot noise: it is averaged, or full (saturated) at "
+            f"{quiet:g} counts. If it is full declare `saturation`, and capture it with less exposure"
+        )
+    elif full := measured.get(FULL_SCALE):
+        counts, stated = f"{full['counts']:g}", full["stated"]
+        than = f" ({stated} would be more)" if stated else ""
+        yield (
+            f"the sensor is full at {counts} counts: {full['source']}{than}; values from there on are flagged as saturated. "
+            f"`saturation = {counts}` in campaign.toml states it"
+        )
 
 
-def _describe_bend(context: SensorContext) -> list[str]:
-    if (bend := context.measured.get(BEND)) is None:
-        return []
-    return [
-        f"{context.camera.name}: the sensor is not linear: by its exposure series its brightest values are "
-        f"{100 * abs(bend):.2g} % too {'low' if bend > 0 else 'high'} beside dim ones. Nothing is corrected: values may be off by as much, "
-        "unless the files are linearised before"
-    ]
-
-
-def _describe_offset(context: SensorContext) -> list[str]:
-    found = context.measured.get(OFFSET)
-    if not found:
-        return []
-    than = "dark" if found["counts"] < 0 else "bright"
-    return [
-        f"{context.camera.name}: without light its exposure series have {found['counts']:+.1f} ± {found['error']:.2g} counts above "
-        "the dark, where a linear sensor has none: the darks are of another temperature or setting, or the response bends at "
-        f"its dark end. Dark paint is too {than} by about as much; capture darks beside the object"
-    ]
-
-
-def _describe_full_scale(context: SensorContext) -> list[str]:
-    if (quiet := context.measured.get(QUIET_WHITE)) is not None:
-        return [
-            f"{context.camera.name}: the white has no more noise than the dark, and light has shot noise: it is averaged, or "
-            f"full (saturated) at {quiet:g} counts. If it is full declare `saturation`, and capture it with less exposure"
-        ]
-    found = context.measured.get(FULL_SCALE)
-    if not found:
-        return []
-    counts, stated = f"{found['counts']:g}", found["stated"]
-    than = f" ({stated} would be more)" if stated else ""
-    return [
-        f"{context.camera.name}: the sensor is full at {counts} counts: {found['source']}{than}; values from there on are "
-        f"flagged as saturated. `saturation = {counts}` in campaign.toml states it"
-    ]
-
-
-def _describe_darks(context: SensorContext) -> list[str]:
-    darks: dict[str, dict[str, Any]] = context.measured.get(CLIPPED_DARKS, {})
-    if not darks:
-        return []
-    name, zeros = context.camera.name, max(one["zeros"] for one in darks.values())
+def _notes_of_darks(darks: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    zeros = max((one["zeros"] for one in darks.values()), default=0.0)
     blacks = [black for one in darks.values() for black in one.get("black", ())]
     lost = [time for time, one in darks.items() if "black" not in one]
-    notes = []
     if blacks:
         noise = max(one.get("noise", 0.0) for one in darks.values())
-        notes.append(
-            f"{name}: darks were clipped at zero (up to {zeros:.0%} of the pixels) and are fitted as censored: black "
+        yield (
+            f"darks were clipped at zero (up to {zeros:.0%} of the pixels) and are fitted as censored: black "
             f"{_range(blacks, '.2f')} counts, noise {noise:.2g}"
         )
     if lost:
         some = f" of {', '.join(filter(None, lost[:NAMED]))}" if any(lost) else ""
-        notes.append(
-            f"{name}: darks{some} are clipped too strongly, hardly a value is above zero: what the black level hides is "
+        yield (
+            f"darks{some} are clipped too strongly, hardly a value is above zero: what the black level hides is "
             "unknown, and dark values may be wrong by it. Raise the camera's black level (offset)"
         )
-    return notes
+
+
+def _notes_of_series(measured: Mapping[str, Any]) -> Iterator[str]:
+    if (bend := measured.get(BEND)) is not None:
+        yield (
+            f"the sensor is not linear: by its exposure series its brightest values are {100 * abs(bend):.2g} % too "
+            f"{'low' if bend > 0 else 'high'} beside dim ones. Nothing is corrected: values may be off by as much, unless the "
+            "files are linearised before"
+        )
+    if found := measured.get(OFFSET):
+        than = "dark" if found["counts"] < 0 else "bright"
+        yield (
+            f"without light its exposure series have {found['counts']:+.1f} ± {found['error']:.2g} counts above the dark, where a "
+            "linear sensor has none: the darks are of another temperature or setting, or the response bends at its dark end. Dark "
+            f"paint is too {than} by about as much; capture darks beside the object"
+        )
+    if found := measured.get(BLACK):
+        yield (
+            f"the black level is {found['counts']:.1f} ± {found['error']:.1f} counts, by exposures of one scene: darks of one time "
+            "alone do not show it. `black` in campaign.toml states it"
+        )
+
+
+def _notes_of_noise(context: SensorContext) -> Iterator[str]:
+    """Report that noise is that of single shots, and in which bands it is that of another gain."""
+    if context.measured.get(SENSOR, {}).get("source") == "spatial":
+        yield (
+            "noise is estimated from the smooth parts of single shots, and sigma is no surer than these: capture two shots or more "
+            "of each target"
+        )
+    found: dict[str, float] = context.measured.get(UNLIKE_NOISE, {})
+    if not found:
+        return
+    factors = {label: max(ratio, 1 / ratio) for label, ratio in found.items()}
+    worst = max(factors, key=lambda label: factors[label])
+    if context.camera.traits.bands_in == "files":
+        why = (
+            "the camera sets gain or black level by itself, or shots of these bands differ. Their sigma is by their own shots. "
+            "Capture all bands with one setting"
+        )
+    else:
+        off = [100 * (ratio**-0.5 - 1) for ratio in found.values()]
+        why = (
+            f"the channels were multiplied, as a white balance does. Sigma there is off by {_range(off, '+.0f')} %. "
+            "Export raw frames without white balance"
+        )
+    yield (
+        f"at like signal the variance of the noise differs from band to band, by a factor of {factors[worst]:.2g} at {worst} "
+        f"({len(found)} of {len(context.sensor.bands)} bands): {why}"
+    )
 
 
 def _range(numbers: Sequence[float], form: str) -> str:

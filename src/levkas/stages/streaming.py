@@ -71,7 +71,8 @@ class BufferedLines:
             if first <= start < first + len(before.values):
                 fresh = min(first + len(before.values), stop)
                 _lay_lines(_rows_of(before, start - first, fresh - first), lines, 0)
-            self._last = before = None  # its memory goes before more is taken
+            self._last = None
+            del before  # its memory goes before more is taken
         for cube in self._scan.blocks(fresh, stop):
             _lay_lines(cube, lines, fresh - start)
             if lines.sigma is not None:
