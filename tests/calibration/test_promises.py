@@ -79,7 +79,6 @@ STEPS = {
         [template(100, exposure_s=1.0), template(200, exposure_s=2.0)],
         saturation=4095,
         noise=NOISE,
-        choose=True,
     ),
     "denoise": lambda: Projecting(find_subspace([spectra()]))(spectra()),
 }
