@@ -143,6 +143,9 @@ def facts_of(frame: FrameRef) -> Facts:
 def compare_facts(camera: Camera, sensor: SensorFrames, alignments: Sequence[Aligned]) -> list[str]:
     """Compare what all frames of a sensor state; return notes.
 
+    Raises CalibrationRefused, E_FACTS, once for a fact and role, with both files, both values and what to do. A photograph, of
+    which nothing is calibrated, has notes instead.
+
     Parameters
     ----------
     camera : Camera
@@ -156,12 +159,6 @@ def compare_facts(camera: Camera, sensor: SensorFrames, alignments: Sequence[Ali
     -------
     notes : list of str
         What `overrule` accepts, what differs without making a value wrong, what campaign.toml declares otherwise.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_FACTS, once for a fact and role, with both files, both values and what to do. A photograph, of which
-        nothing is calibrated, has notes instead.
     """
     every = _stated(sensor)
     between = [*_between_files(camera, sensor, every), *_between_alignments(alignments)]
@@ -206,6 +203,8 @@ def check_alike(
 ) -> None:
     """Refuse what shows only where a frame is decoded: codes aligned otherwise, other levels of a camera raw.
 
+    Raises CalibrationRefused, E_FACTS.
+
     Parameters
     ----------
     first : (Facts, Path)
@@ -214,11 +213,6 @@ def check_alike(
         Rows of the frame.
     path : Path
         Of the frame.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_FACTS.
     """
     facts, by = first
     found = []

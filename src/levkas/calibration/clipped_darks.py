@@ -80,6 +80,8 @@ def black_clip_of(frames: Iterable[np.ndarray]) -> float | None:
 def fit_clipped_dark(frames: Sequence[np.ndarray], *, step: float = 1.0) -> DarkLevel:
     """Fit black, noise and spread of darks that were clipped at zero.
 
+    Raises CalibrationRefused, E_DARK_CLIPPED where so few codes are above zero that black and noise cannot be separated.
+
     Parameters
     ----------
     frames : sequence of ndarray, one shape, whole codes
@@ -87,11 +89,6 @@ def fit_clipped_dark(frames: Sequence[np.ndarray], *, step: float = 1.0) -> Dark
         taken in pairs.
     step : float
         Counts from code to code.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_DARK_CLIPPED where so few codes are above zero that black and noise cannot be separated.
 
     Notes
     -----
@@ -234,6 +231,8 @@ def unclip(
 ) -> Template:
     """Return a dark as if its codes had not been clipped at zero; one that was not as it is.
 
+    Raises CalibrationRefused, E_DARK_CLIPPED, as `fit_clipped_dark`.
+
     Parameters
     ----------
     dark : Template, (h, w) or (h, w, b)
@@ -249,11 +248,6 @@ def unclip(
     -------
     dark : Template
         `mean` is the expected level of each sensel, and `fit` has its variance; nothing is black.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_DARK_CLIPPED, as `fit_clipped_dark`.
 
     Notes
     -----

@@ -27,17 +27,14 @@ class CodesRefused(CalibrationRefused):
 def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: float | None) -> None:
     """Refuse a frame that cannot have, or does not keep to, the bits that are declared.
 
+    Raises CodesRefused, ``E_BITS`` for 8-bit frames where more bits are declared, and for codes beyond both full scales.
+
     Parameters
     ----------
     bits : int
         Declared.
     full : float, optional
         Declared saturation: 4095 · 16 where 12 bits stand at the upper end of 16.
-
-    Raises
-    ------
-    CodesRefused
-        ``E_BITS`` for 8-bit frames where more bits are declared, and for codes beyond both full scales.
     """
     if values.dtype.kind not in "ui":
         return

@@ -134,6 +134,8 @@ def match_dark(
 ) -> MatchedDark:
     """Return the dark for an exposure of `exposure_s`.
 
+    Raises CalibrationRefused, E_EXPOSURES where darks of several times are offered and the frame's time is not known.
+
     Parameters
     ----------
     darks : Template or sequence of Template or None
@@ -150,11 +152,6 @@ def match_dark(
         nearest times, pixel by pixel. A single one is scaled about `black` where that is known,
         black + (D − black)·t/tD, and used as it is where not, with its `stretch`: `flatfield.require_dark`
         refuses it where the dark current may matter.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_EXPOSURES where darks of several times are offered and the frame's time is not known.
 
     Examples
     --------

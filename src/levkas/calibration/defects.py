@@ -30,6 +30,8 @@ def find_defects(
 ) -> np.ndarray:
     """Find sensels whose values cannot be trusted.
 
+    Raises CalibrationRefused, E_VALUE where more than 2 % would be defects.
+
     Parameters
     ----------
     dark, white : Template, (h, w) or (h, w, b), or None
@@ -40,11 +42,6 @@ def find_defects(
     Returns
     -------
     defects : ndarray of bool, shape of the templates
-
-    Raises
-    ------
-    CalibrationRefused
-        E_VALUE where more than 2 % would be defects.
 
     Notes
     -----

@@ -50,17 +50,13 @@ class Subspace:
 def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
     """Find the signal subspace by HySime in one pass.
 
+    Raises CalibrationRefused, E_SIZE with fewer than 3 bands or 10 spectra a band; E_CORRELATED where the noise of neighbouring
+    bands correlates by more than `CORRELATED` (binning, smoothing in the camera's software): HySime would take it for signal.
+
     Parameters
     ----------
     blocks : iterable of ndarray, (…, b)
         Spectra in blocks of any shape; those with NaN are left out.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_SIZE with fewer than 3 bands or 10 spectra a band; E_CORRELATED where the noise of
-        neighbouring bands correlates by more than `CORRELATED` (binning, smoothing in the camera's
-        software): HySime would take it for signal.
 
     Notes
     -----

@@ -49,6 +49,8 @@ def phase_gains(
 ) -> PhaseGains:
     """Measure the gains of a mosaic's phases on a picture of one narrow band.
 
+    Raises CalibrationRefused, E_VALUE where no phase has a signal, E_SIZE where the frame is smaller than a block.
+
     Parameters
     ----------
     values : ndarray, (h, w), float32
@@ -59,11 +61,6 @@ def phase_gains(
         Of `values`. None: the same for all phases.
     pattern : str or rows of channel names
         Its size alone matters: two places of one channel are measured apart.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_VALUE where no phase has a signal, E_SIZE where the frame is smaller than a block.
 
     Notes
     -----

@@ -49,6 +49,8 @@ DIM = 4.0  # times the least variance of a group: brighter ones say little of no
 def best_exposure(shots: Sequence[Template]) -> Template:
     """Return the longest exposure that is not saturated.
 
+    Raises CalibrationRefused, E_NO_FRAMES without a shot, E_EXPOSURES where an exposure is unknown.
+
     Parameters
     ----------
     shots : sequence of Template
@@ -59,11 +61,6 @@ def best_exposure(shots: Sequence[Template]) -> Template:
     shot : Template
         One of `shots`; a share of `TOLERATED` saturated pixels does not count. Where all are saturated, the one with the fewest saturated pixels; its
         flags show where.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_NO_FRAMES without a shot, E_EXPOSURES where an exposure is unknown.
     """
     timed = _in_order(shots)
     shares = [float(np.mean(shot.saturated)) for shot in timed]
@@ -105,6 +102,8 @@ def merge_exposures(
 ) -> Merged:
     """Merge exposures of one still scene into counts a second.
 
+    Raises CalibrationRefused, E_EXPOSURES with fewer than two exposures, unknown ones, or ones that do not scale.
+
     Parameters
     ----------
     shots : sequence of Template
@@ -120,11 +119,6 @@ def merge_exposures(
         clipped at black over more than half of their pixels, and so say little about it.
     period : (rows, columns)
         Of a mosaic's pattern.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_EXPOSURES with fewer than two exposures, unknown ones, or ones that do not scale.
 
     Notes
     -----

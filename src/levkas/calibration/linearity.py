@@ -248,10 +248,7 @@ def _without(values: np.ndarray, columns: np.ndarray, weight: np.ndarray) -> np.
 def require_reciprocity(found: Linearity) -> None:
     """Refuse to scale counts from one exposure to another where they do not scale.
 
-    Raises
-    ------
-    CalibrationRefused
-        E_EXPOSURES with where it broke, or that nothing could be compared.
+    Raises CalibrationRefused, E_EXPOSURES with where it broke, or that nothing could be compared.
 
     Examples
     --------

@@ -20,10 +20,7 @@ Pattern = tuple[tuple[str, ...], ...]
 def as_pattern(pattern: str | Sequence[Sequence[str]]) -> Pattern:
     """Return rows of channel names; four letters are a 2x2 pattern, 36 one of X-Trans.
 
-    Raises
-    ------
-    CalibrationRefused
-        E_VALUE where rows differ in length or nothing is named.
+    Raises CalibrationRefused, E_VALUE where rows differ in length or nothing is named.
 
     Examples
     --------
@@ -65,15 +62,12 @@ def channel_table(
 ) -> np.ndarray:
     """Return the index of the channel at each place of the pattern, (rows, columns), int64.
 
+    Raises CalibrationRefused, E_BAND_MISSING where `channels` and the pattern do not name the same.
+
     Parameters
     ----------
     channels : sequence of str, optional
         Order to count in; default `channel_names`.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_BAND_MISSING where `channels` and the pattern do not name the same.
     """
     rows, order = as_pattern(pattern), tuple(channels or channel_names(pattern))
     if sorted(order) != sorted(channel_names(rows)):

@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 def require_exposures(context: SensorContext) -> None:
     """Refuse a sensor some of whose frames state their exposure, and others do not.
 
-    Raises
-    ------
-    CalibrationRefused
-        E_EXPOSURES; also where no frame states it in a known unit, and the numbers without one differ.
+    Raises CalibrationRefused, E_EXPOSURES; also where no frame states it in a known unit, and the numbers without one differ.
     """
     sensor = context.sensor
     frames = list(dict.fromkeys((*sensor.object, *sensor.white, *sensor.dark)))
@@ -59,10 +56,7 @@ def require_exposures(context: SensorContext) -> None:
 def require_black(context: SensorContext) -> None:
     """Refuse a file whose black levels cannot be understood where they would be subtracted.
 
-    Raises
-    ------
-    CalibrationRefused
-        E_VALUE where there is neither a dark nor a declared black.
+    Raises CalibrationRefused, E_VALUE where there is neither a dark nor a declared black.
     """
     unclear = context.facts.black_unclear
     if unclear is None or context.sensor.dark or context.camera.black is not None:

@@ -75,6 +75,9 @@ def find_white_area(
 ) -> WhiteArea:
     """Find where a white frame shows the object in place of the board.
 
+    Raises CalibrationRefused, ``E_WHITE_DETAIL`` where the object is in more than half of the white, or the white is a picture
+    of something else.
+
     Parameters
     ----------
     shot, white : Template, (h, w) or (h, w, b)
@@ -90,11 +93,6 @@ def find_white_area(
     -------
     area : WhiteArea
         Blocks in which the object has no detail are given to the nearest that is decided.
-
-    Raises
-    ------
-    CalibrationRefused
-        ``E_WHITE_DETAIL`` where the object is in more than half of the white, or the white is a picture of something else.
 
     Examples
     --------
@@ -163,6 +161,8 @@ def joined_area(areas: Sequence[WhiteArea]) -> WhiteArea:
 def find_white_line(white: Template, level: np.ndarray) -> WhiteArea:
     """Find where the white line of a push-broom camera shows something that moves along the scan.
 
+    Raises CalibrationRefused, ``E_WHITE_DETAIL`` where more than half of the samples show it.
+
     Parameters
     ----------
     white : Template, (1, samples, bands)
@@ -174,11 +174,6 @@ def find_white_line(white: Template, level: np.ndarray) -> WhiteArea:
     -------
     area : WhiteArea
         `uncovered` is (1, samples).
-
-    Raises
-    ------
-    CalibrationRefused
-        ``E_WHITE_DETAIL`` where more than half of the samples show it.
 
     Examples
     --------

@@ -59,6 +59,8 @@ PERFECT = WhiteBoard()
 def reflectance_table(board: WhiteBoard, shot: Template) -> np.ndarray:
     """Lay the white's reflectance out as it repeats over the (h, w·b) view of a frame.
 
+    Raises CalibrationRefused, E_VALUE where the numbers do not fit.
+
     Parameters
     ----------
     board : WhiteBoard
@@ -68,11 +70,6 @@ def reflectance_table(board: WhiteBoard, shot: Template) -> np.ndarray:
     Returns
     -------
     table : ndarray, (1, b) or the pattern's shape, float64
-
-    Raises
-    ------
-    CalibrationRefused
-        E_VALUE where the numbers do not fit.
     """
     known = np.atleast_1d(np.asarray(board.reflectance, float))
     if board.pattern is not None:
@@ -103,10 +100,7 @@ def check_white(
 
     `level` is the white's dark, counts; it broadcasts to the white.
 
-    Raises
-    ------
-    CalibrationRefused
-        E_WHITE_DARK, E_WHITE_SATURATED; one problem each, which names the channels by `labels`.
+    Raises CalibrationRefused, E_WHITE_DARK, E_WHITE_SATURATED; one problem each, which names the channels by `labels`.
     """
     level = np.broadcast_to(level, white.mean.shape)
     channels = _channels(white, pattern, labels)

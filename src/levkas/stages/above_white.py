@@ -121,10 +121,7 @@ def _count_dark_rows(total, spread, known, counts):  # type: ignore[no-untyped-d
 def require_light(counts: np.ndarray, labels: Sequence[str]) -> None:
     """Refuse an object that is as dark as its dark in all of its bands.
 
-    Raises
-    ------
-    CalibrationRefused
-        ``E_NO_LIGHT``.
+    Raises CalibrationRefused, ``E_NO_LIGHT``.
     """
     if (unlit := _unlit(counts)).size and unlit.size == len(labels):
         least = 100 * (counts[LIT_ROW] / np.maximum(counts[3], 1)).max()

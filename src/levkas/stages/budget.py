@@ -41,6 +41,8 @@ def budget_of(
 ) -> tuple[ErrorSource, ...]:
     """Return the rows of a capture's budget, all sensors together; of values in counts those that need no white.
 
+    Raises Refused where the spectrum of the white cannot be read.
+
     Parameters
     ----------
     measured : mapping of str to mapping
@@ -49,11 +51,6 @@ def budget_of(
         Stray light that charts of the camera showed, as `levkas.quality.targets.stray_light.OfView.to_dict` writes it.
     quantity : str
         Of the layer's values: ``"reflectance"`` or ``"counts"``.
-
-    Raises
-    ------
-    Refused
-        Where the spectrum of the white cannot be read.
     """
     camera = campaign.cameras[capture.camera]
     has_white = any(sensor.white or sensor.chart for sensor in capture.sensors)

@@ -83,10 +83,7 @@ def calibrate(
 ) -> CalibratedCapture:
     """Calibrate a capture; tiles, and a scan that is larger than memory, are calibrated as they are written.
 
-    Raises
-    ------
-    Refused
-        UnreadableCapture or CalibrationRefused, with the files in question; TooLarge.
+    Raises Refused: UnreadableCapture or CalibrationRefused, with the files in question; TooLarge.
     """
     if capture.tiles:
         for tile in capture.tiles:
@@ -217,10 +214,7 @@ def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:
 def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Native:
     """Calibrate every sensor of a capture.
 
-    Raises
-    ------
-    Refused
-        UnreadableCapture or CalibrationRefused, with the files in question.
+    Raises Refused: UnreadableCapture or CalibrationRefused, with the files in question.
     """
     camera = campaign.cameras[capture.camera]
     cubes, notes, captured = {}, [], None

@@ -282,10 +282,7 @@ def note_traps(
 ) -> list[str]:
     """Note in `measured` the stray light that light traps in a sensor's frames show; return what a person should know of it.
 
-    Raises
-    ------
-    CalibrationRefused
-        Where a trap lies beyond the frame.
+    Raises CalibrationRefused where a trap lies beyond the frame.
     """
     from levkas.calibration.templates import CalibrationRefused
     from levkas.core.problems import Problem

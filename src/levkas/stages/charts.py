@@ -69,6 +69,9 @@ def measure_charts(
 ) -> ChartReport:
     """Measure the charts of a campaign or of a published database, or one in a calibrated cube.
 
+    Raises Refused where the campaign, the cube or the reference cannot be read, or an option has no meaning for it. What is
+    wrong with single charts is in the report.
+
     Parameters
     ----------
     subject : path
@@ -88,12 +91,6 @@ def measure_charts(
         Objects of a database that are charts.
     edges : sequence of EdgePlace
         Slanted edges, px of the cube; of a database, of the grid. A campaign says them in `targets.edges`.
-
-    Raises
-    ------
-    Refused
-        Where the campaign, the cube or the reference cannot be read, or an option has no meaning for it. What is
-        wrong with single charts is in the report.
     """
     path = Path(subject)
     report = ChartReport()
@@ -207,10 +204,7 @@ def measure_edges_of(
     `patterns` are mosaics by sensor; `encoded` says that the values are those of a finished photograph; `trapped` that it has
     light traps, and needs no edge.
 
-    Raises
-    ------
-    EdgeRefused
-        ``E_EDGE_MISSING`` where none is named.
+    Raises EdgeRefused, ``E_EDGE_MISSING`` where none is named.
     """
     if not any(places.values()) and not trapped:
         raise EdgeRefused(

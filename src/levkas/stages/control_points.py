@@ -71,10 +71,7 @@ def declared_points(
 ) -> dict[str, ManualPoints]:
     """Return the points of a capture by sensor, as a registration takes them; `channel` as of `placed_in`.
 
-    Raises
-    ------
-    PointsRefused
-        Where the file cannot be read, or names a band that the camera does not have.
+    Raises PointsRefused where the file cannot be read, or names a band that the camera does not have.
     """
     path = points_file(campaign, capture)
     if path is None:

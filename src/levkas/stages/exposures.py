@@ -141,10 +141,7 @@ def check_scaling(
 
     `series` are exposures of one scene each: the object's, the white's. A merge has been checked already.
 
-    Raises
-    ------
-    CalibrationRefused
-        E_EXPOSURES where a series shows that counts do not scale, with exposure and level.
+    Raises CalibrationRefused, E_EXPOSURES where a series shows that counts do not scale, with exposure and level.
     """
     taken, other = exposed.shot.exposure_s, white.exposure_s if white else None
     if exposed.shot.above_dark or not taken or not other or abs(taken / other - 1) <= SAME_TIME:

@@ -316,14 +316,12 @@ class TooLarge(Refused):
 def require_memory(capture: Capture, kind: str) -> None:
     """Refuse with ``E_MEMORY`` a capture whose calibrated values alone are more than what is free.
 
+    Raises TooLarge.
+
     Parameters
     ----------
     kind : str
         Of its camera.
-
-    Raises
-    ------
-    TooLarge
     """
     free = memory_bound()
     needed = CUBE_BYTES * count_values(capture, kind)

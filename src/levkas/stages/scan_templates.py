@@ -210,10 +210,7 @@ def _rows_of(plane: np.ndarray | None, start: int, stop: int) -> np.ndarray | No
 def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
     """Prepare dark, white and noise for scans of a shape, and note light and noise of the sensor.
 
-    Raises
-    ------
-    CalibrationRefused
-        Where sizes differ, or the white cannot serve.
+    Raises CalibrationRefused where sizes differ, or the white cannot serve.
     """
     if context.camera.scan == "mirror":
         return _of_mirror(context, shape)

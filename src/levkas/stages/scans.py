@@ -380,10 +380,7 @@ def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) ->
 def develop_scan(context: SensorContext) -> tuple[Cube, list[str]]:
     """Calibrate a line scan that is held in memory, strips joined; return it with notes.
 
-    Raises
-    ------
-    CalibrationRefused
-        As `flat_field` does, and where strips cannot be joined.
+    Raises CalibrationRefused as `flat_field` does, and where strips cannot be joined.
     """
     cube, notes = Scan(context, lines_of_scan(context)).whole()
     return cube, [*notes]

@@ -53,6 +53,8 @@ def middle_band(bands: Sequence[Band]) -> str:
 def broad_centroids(campaign: Campaign, camera: str, bands: Sequence[Band]) -> dict[str, float]:
     """Return the centroids of a camera's channels without a centre wavelength, nm, by label.
 
+    Raises Refused where the declared table cannot be read.
+
     Parameters
     ----------
     bands : sequence of Band
@@ -62,11 +64,6 @@ def broad_centroids(campaign: Campaign, camera: str, bands: Sequence[Band]) -> d
     -------
     centroids : dict
         Empty where no sensitivities are declared; without a channel that nothing reaches.
-
-    Raises
-    ------
-    Refused
-        Where the declared table cannot be read.
     """
     declared = campaign.cameras[camera].sensitivity
     broad = [band.label for band in bands if isnan(band.wavelength)]
@@ -81,17 +78,13 @@ def broad_centroids(campaign: Campaign, camera: str, bands: Sequence[Band]) -> d
 def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Read a CSV of wavelength and a column a channel; columns by header where it names them all.
 
+    Raises Refused where it cannot be read, a wavelength occurs twice, or it has not as many columns as there are channels.
+
     Returns
     -------
     wavelengths : ndarray, (n,), nm
         Ascending, whatever the order of the rows.
     table : ndarray, (n, channels)
-
-    Raises
-    ------
-    Refused
-        Where it cannot be read, a wavelength occurs twice, or it has not as many columns as there
-        are channels.
     """
     expected = "a CSV with wavelength in nm and one column per channel"
     try:
@@ -171,6 +164,8 @@ def weights_of_bands(
 ) -> list[BandWeights | None]:
     """Return what each of some bands of a capture sees of every wavelength; None of a channel of unknown sensitivity.
 
+    Raises Refused where a declared table cannot be read.
+
     Parameters
     ----------
     bands : sequence of Band
@@ -181,11 +176,6 @@ def weights_of_bands(
     weights : list
         The declared `sensitivity`, times the spectrum of the setup's light where one is declared; else a Gaussian
         of the band's width times that light; else its wavelength alone.
-
-    Raises
-    ------
-    Refused
-        Where a declared table cannot be read.
     """
     declared = campaign.cameras[capture.camera].sensitivity
     light, table = _spectrum_of_light(campaign, capture.setup), {}
@@ -233,10 +223,7 @@ def board_of(campaign: Campaign, capture: Capture, sensor: SensorFrames) -> Boar
 
     A channel of unknown sensitivity takes the mean over 400–700 nm.
 
-    Raises
-    ------
-    Refused
-        SpectrumRefused where the CSV of the board cannot be used.
+    Raises Refused: SpectrumRefused where the CSV of the board cannot be used.
     """
     white, bands = campaign.targets.white, sensor.bands
     declared = white.reflectance if white and sensor.white else None
@@ -305,10 +292,7 @@ def read_board_uncertainty(campaign: Campaign, capture: Capture) -> dict[str, fl
 
     The third column of the white's CSV has it, in the unit of the second; or `uncertainty` of `targets.white`, a reflectance.
 
-    Raises
-    ------
-    Refused
-        Where the CSV of the board cannot be used.
+    Raises Refused where the CSV of the board cannot be used.
     """
     white = campaign.targets.white
     if white is None:

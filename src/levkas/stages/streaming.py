@@ -110,6 +110,8 @@ def resample_scan(
     that maps are laid on follow from sizes and maps alone, never from the machine: so the values are
     the same for any number of rows that are worked on at a time (a strip, or $LEVKAS_TILE).
 
+    Raises ScanRefused, ``E_SIZE`` where a few rows, or columns, need more lines than may be held.
+
     Parameters
     ----------
     maps : sequence of Transform
@@ -117,11 +119,6 @@ def resample_scan(
     size : (width, height) of the grid
     spool : path
         A folder for that file.
-
-    Raises
-    ------
-    ScanRefused
-        ``E_SIZE`` where a few rows, or columns, need more lines than may be held.
     """
     swap = Affine(np.array([[0.0, 1, 0], [1, 0, 0]]))
     turned = {id(one): Composed(swap, one) for one in maps}

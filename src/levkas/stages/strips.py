@@ -57,10 +57,7 @@ UNTRUSTED = UNRELIABLE | Flag.DEFECT
 def lines_of_scan(context: SensorContext) -> Strip | JoinedStrips:
     """Open the file of a line scan, or its strips, which are looked at once to be joined.
 
-    Raises
-    ------
-    CalibrationRefused
-        E_STRIPS where strips cannot be joined, E_EXPOSURES where counts of several exposures would be.
+    Raises CalibrationRefused, E_STRIPS where strips cannot be joined, E_EXPOSURES where counts of several exposures would be.
     """
     files = [ScanFile.open(frame) for frame in context.sensor.object]
     templates = templates_of_scan(context, files[0].shape)

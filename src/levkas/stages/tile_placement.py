@@ -42,10 +42,7 @@ def place_reference(
 ) -> tuple[dict[str, FoundTile], TilePlacement]:
     """Place the tiles of the reference camera beside one another; `by_hand` are pairs of a neighbour and a tile.
 
-    Raises
-    ------
-    RegistrationRefused
-        Where no two tiles overlap.
+    Raises RegistrationRefused where no two tiles overlap.
     """
     tiles = _Pictures(native, band)
     stage = places_of_stage(native, campaign)

@@ -223,17 +223,14 @@ class TiledCapture:
     def images(self, anchor: str = "", box: Box | None = None, step: int = 1) -> list[BandImage]:
         """Return the bands of the mosaic as registration takes them; of many px some of them, `anchor` among them.
 
+        Raises RegistrationRefused, ``E_SIZE`` where even one band is more than `MOST_SAMPLES`.
+
         Parameters
         ----------
         box : (left, top, behind the right, behind the bottom), px of the mosaic, optional
             The part of it; default all.
         step : int
             Px of the mosaic in one of the picture's, along a side.
-
-        Raises
-        ------
-        RegistrationRefused
-            ``E_SIZE`` where even one band is more than `MOST_SAMPLES`.
         """
         left, top, right, bottom = box or (0, 0, *self.placed.size)
         width, height = (right - left) // step, (bottom - top) // step
