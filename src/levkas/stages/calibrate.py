@@ -93,15 +93,7 @@ def calibrate(
             "captured": read_facts(capture.sensors[0].object[0].path).captured or "",
         }
         tiles = (develop(tile, campaign, templates) for tile in capture.tiles)
-        folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
-        return TiledCapture(
-            capture,
-            places,
-            folder,
-            mosaics,
-            tiles,
-            notes,
-        )
+        return _tiled(capture, campaign, places, notes, tiles)
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     require_memory(capture, campaign.cameras[capture.camera].kind)
@@ -186,17 +178,22 @@ def load_calibrated(
     `notes` are those of the record.
     """
     if capture.tiles:
-        folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
-        return TiledCapture(
-            capture,
-            places,
-            folder,
-            mosaics,
-            notes=dict(notes),
-        )
+        return _tiled(capture, campaign, places, dict(notes))
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     return develop(capture, campaign, templates)
+
+
+def _tiled(
+    capture: Capture,
+    campaign: Campaign,
+    places: Places,
+    notes: dict[str, Any],
+    tiles: Iterator[Native] = iter(()),
+) -> TiledCapture:
+    folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
+    level = campaign.cameras[capture.camera].level_tiles
+    return TiledCapture(capture, places, folder, mosaics, tiles, notes, level_tiles=level)
 
 
 def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:

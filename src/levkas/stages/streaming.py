@@ -38,18 +38,6 @@ class ScanRefused(CalibrationRefused):
     """A scan that lies so that it cannot be streamed."""
 
 
-def tilted(what: str) -> ScanRefused:
-    """Return the refusal of a scan, or of a pass of it, of which rows of the grid need too many lines."""
-    return ScanRefused(
-        Problem(
-            "E_SIZE",
-            f"{what} is tilted relative to the grid: some rows or columns of the grid need too many of its lines",
-            field="grid.rotate",
-            fix="Rotate the grid so that the lines of the scan follow its rows or columns.",
-        )
-    )
-
-
 class BufferedLines:
     """Stretches of calibrated lines: lines that a stretch has in common with the one before are not calibrated again.
 
@@ -128,7 +116,14 @@ def resample_scan(
     if not rows and not columns:
         rows = _rows_at_once(scan, maps, size, ASKEW_BYTES)
     if not rows and not columns:
-        raise tilted("the scan")
+        raise ScanRefused(
+            Problem(
+                "E_SIZE",
+                "the scan is tilted relative to the grid: some rows or columns of the grid need too many of its lines",
+                field="grid.rotate",
+                fix="Rotate the grid so that the lines of the scan follow its rows or columns.",
+            )
+        )
     seams = next((one["strips"] for one in scan.measured.values() if "strips" in one), ())
     shared = shared_by_strips(seams, scan.shape[1], maps, across) if seams else None
     if rows:
