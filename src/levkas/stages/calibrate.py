@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -189,11 +189,11 @@ def _tiled(
     campaign: Campaign,
     places: Places,
     notes: dict[str, Any],
-    tiles: Iterator[Native] = iter(()),
+    tiles: Iterable[Native] = (),
 ) -> TiledCapture:
     folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
     level = campaign.cameras[capture.camera].level_tiles
-    return TiledCapture(capture, places, folder, mosaics, tiles, notes, level_tiles=level)
+    return TiledCapture(capture, places, folder, mosaics, iter(tiles), notes, level_tiles=level)
 
 
 def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:
