@@ -93,19 +93,6 @@ def refused(code: str, file: str = "", field: str | None = None, **more: object)
     return check
 
 
-def told_or_refused(code: str, *tokens: str) -> Check:
-    """Expect a refusal, or a warning with some tokens and values that are right."""
-
-    def check(made: Made, kind: str) -> None:
-        if made.problems:
-            assert made.problems[0].code == code
-        else:
-            told(*tokens)(made, kind)
-            right(0.005, None)(made, kind)
-
-    return check
-
-
 def flagged(flag: int, where: np.ndarray, most: float = 0.02, least: float = 0.98) -> Check:
     """Expect a flag where `where`, (h, w), is set, and hardly anywhere else."""
 
@@ -171,17 +158,6 @@ PANEL_AT_HALF = [drop("panel_*250ms_*", "panel_*1000ms_*"), text('"merge"', '"be
 ONE_TIME = {"series": (0.25, 0.5), "light": 6000.0, "current": 40.0}
 OTHER_DARK = [drop("dark_*_500ms_*", "white_*_500ms_*", "panel_*_250ms_*"), text('"merge"', '"best"')]  # fmt: skip
 BLACK_OF_FRAMES = {"extratags": [(50714, "H", 1, int(BLACK), True)]}
-
-
-def knee(counts: np.ndarray) -> np.ndarray:
-    """A response that flattens above half of the white."""
-    return np.where(counts < 2000, counts, 2000 + (counts - 2000) / 2)
-
-
-def wells(counts: np.ndarray) -> np.ndarray:
-    """Full wells below the white that differ from sensel to sensel."""
-    spread = 1 + 0.03 * np.random.default_rng(3).standard_normal(counts.shape)
-    return np.minimum(counts, 2500 * spread)
 
 
 def panel(seed: int) -> np.ndarray:
@@ -296,9 +272,9 @@ ROWS = [
     Row("exposures are merged", "bands mosaic", BRACKET, [drop("white_*4000ms_*")],
         [right(), flagged(Flag.MOVED, NOWHERE, 0.001)]),
     Row("an exposure that took a third more", "bands", SERIES, [brighter("panel_*_500ms_*", 1.2)],
-        [told_or_refused("E_EXPOSURES", "0.5 s")]),
+        [refused("E_EXPOSURES")]),
     Row("of two exposures one is wrong", "bands", SERIES,
-        [drop("*_500ms_*", "white_*_250ms*"), brighter("panel_*_250ms_*", 4 / 3)], [told_or_refused("E_EXPOSURES", "0.25 s", "1 s")]),
+        [drop("*_500ms_*", "white_*_250ms*"), brighter("panel_*_250ms_*", 4 / 3)], [refused("E_EXPOSURES")]),
     Row("something moved between exposures", "bands", SERIES, [region("panel_*_1000ms_*", SPOT, 0.3)],
         [flagged(Flag.MOVED, HIT, 0.06, 0.9)]),
     Row("the longest white that is not full counts", "bands", BRACKET,
@@ -347,10 +323,6 @@ ROWS = [
         [refused("E_WHITE_SATURATED", "white")]),
     Row("a white that is full, bits unknown", "bands mosaic cube", {"light": 6000.0, "keys": ""}, [],
         [refused("E_WHITE_SATURATED", "white")]),
-    Row("a response that flattens", "bands mosaic", {"response": knee, "shots": (4, 4, 4)}, [],
-        [told("shot noise"), flagged(Flag.MOVED, NOWHERE, 0.02)]),
-    Row("wells that differ", "bands", {"response": wells, "shots": (4, 4, 4)}, [], [told("shot noise")]),
-
     Row("a white of a scan that is full everywhere", "cube mirror", {"full": 2940.0, "light": 3600.0, "truth": 0.5 * TONES}, [],
         [told("noise", "dark")]),
 

@@ -192,8 +192,7 @@ def _tiled(
     tiles: Iterable[Native] = (),
 ) -> TiledCapture:
     folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
-    level = campaign.cameras[capture.camera].level_tiles
-    return TiledCapture(capture, places, folder, mosaics, iter(tiles), notes, level_tiles=level)
+    return TiledCapture(capture, places, folder, mosaics, iter(tiles), notes)
 
 
 def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:
