@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.core.cube import Band
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, closest_match
 
 INFRARED = "infrared-visible"
 RATIO = "ratio"
@@ -94,9 +94,8 @@ def parse_analyses(texts: Iterable[str]) -> tuple[Analysis, ...]:
         else:
             names = f"{INFRARED}, {RATIO}:700/1000 or {RATIO}:R/IR"
             what = "there is no such analysis"
-            problems.append(
-                Problem("E_VALUE", what, None, "--analyse", text, names, f"Write {names}.")
-            )
+            fix = closest_match(kind, (INFRARED, RATIO)) or f"Write {names}."
+            problems.append(Problem("E_VALUE", what, None, "--analyse", text, names, fix))
     if len(found) > MOST:
         what = "too many analyses"
         problems.append(Problem("E_VALUE", what, None, "--analyse", len(found), f"at most {MOST}"))
