@@ -29,6 +29,10 @@ ROWS = {
         "{dark,white,icon1,icon2}_{450,550,650}.tif",
         {ONE + "files": "{target}_{wavelength}.tif"}, {"icon1/studio", "icon2/studio"},
     ),
+    "plates by wavelengths without darks": (
+        "plate{1,2,3}_{450,550}nm.tif", {ONE + "files": "{target}_{wavelength}nm.tif"},
+        {"plate1/studio", "plate2/studio", "plate3/studio"},
+    ),
     "wavelengths as folders": (
         "{450,550,650}nm/{dark,white,icon1}.tif", {ONE + "files": "{wavelength}nm/{target}.tif"}, {"icon1/studio"},
     ),

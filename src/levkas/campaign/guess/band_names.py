@@ -26,6 +26,7 @@ from levkas.campaign.guess.words import (
     are_elements,
     joined,
     role_in,
+    tokens_of,
 )
 
 Tokens = dict[Path, tuple[Token, ...]]
@@ -100,7 +101,7 @@ def mark_bands(
     for cluster, columns in undecided:
         if same := next((c for c in columns if c.values in known), None):
             marked |= _marked(same, cluster, tokens, *known[same.values])
-        elif not any(_has_role(c, tokens) for c in cluster) and (
+        elif not any(_has_role(c, tokens) or _names_band(c, tokens) for c in cluster) and (
             likely := next((c for c in columns if _may_be_bands(c, cluster, sizes, samples)), None)
         ):
             files = tuple(c for one in likely.sets for c in one.values())
@@ -186,6 +187,12 @@ def _columns(cluster: Sequence[CaptureFile], tokens: Tokens) -> Iterator[_Column
 def _has_role(capture: CaptureFile, tokens: Tokens) -> bool:
     """Whether a file is a dark, white or chart by its name or by those of its folders."""
     return any(t.role for t in tokens[capture.path]) or any(map(role_in, capture.folders))
+
+
+def _names_band(capture: CaptureFile, tokens: Tokens) -> bool:
+    """Whether the name of a file, or of a folder of its own, has a wavelength: then no other part is a band."""
+    parts = [t for name in capture.folders for t in tokens_of(name)]
+    return any(t.kind == "wavelength" for t in (*tokens[capture.path], *parts))
 
 
 def _follows(rows: Sequence[Sequence[Token]], one: int, other: int) -> bool:
