@@ -147,11 +147,11 @@ def estimate_cube(
     shape = (height, width, len(stored.bands))
     values, sigma = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
     flags = np.zeros(shape, np.uint8)
-    noises = [a.sigma for a in layers]
+    noises, marked = ([getattr(a.levkas, part) for a in layers] for part in ("sigma", "flags"))
     for start in range(0, height, BLOCK_ROWS):
         rows = slice(start, start + BLOCK_ROWS)
         responses = np.concatenate([a.isel(y=rows).values for a in layers], axis=2).astype(float)
-        marks = np.concatenate([a.isel(y=rows).flags.values for a in layers], axis=2)
+        marks = np.concatenate([a.isel(y=rows).values for a in marked], axis=2)
         valid = np.isfinite(responses).all(2)
         with steady_libraries():
             spectra, spread = stored.model(responses[valid])
