@@ -36,11 +36,6 @@ def examine(
     rng : Generator
         Of the bootstrap that gives the intervals.
 
-    Returns
-    -------
-    found : Examination
-        A sensor that cannot be measured has its reasons in `problems`; the others are measured.
-
     Raises
     ------
     Refused

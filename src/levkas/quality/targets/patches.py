@@ -193,15 +193,7 @@ SMALLEST = 0.03
 
 
 class Preblur(NamedTuple):
-    """A camera's own blur, found from its noise.
-
-    Parameters
-    ----------
-    lag1 : (along x, along y)
-        Autocorrelation of neighbours.
-    factor : float
-        True over measured standard deviation, 1 where nothing was found.
-    """
+    """A camera's own blur: autocorrelation of neighbours along x and y, and true over measured standard deviation, 1 without any."""
 
     found: bool
     lag1: tuple[float, float]
