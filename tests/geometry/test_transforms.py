@@ -87,3 +87,8 @@ def test_a_point_past_the_fold_of_a_lens_has_no_inverse():
 def test_an_unknown_kind_is_refused_by_name():
     with pytest.raises(ValueError, match="unknown transform kind 'wavelet'"):
         from_dict({"kind": "wavelet"})
+
+
+def test_a_scaling_keeps_the_corner_of_the_first_pixel():
+    moved = Affine.scaling(2.0, 3.0)(np.array([[-0.5, -0.5], [0.0, 0.0]]))
+    np.testing.assert_allclose(moved, [[-0.5, -0.5], [0.5, 1.0]])
