@@ -10,16 +10,20 @@ they are moved to the middle of the period before: lying apart they would spoil 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import cv2
 import numpy as np
 
-from levkas.core.threads import each
+from levkas.core.compiled import njit
+from levkas.core.threads import each, in_threads
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
 
 FEWEST = 5000  # values of a channel in the smaller picture from which the trial counts
 Interpolate = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray | None]]
+MOST = 300_000  # of these that are looked at
+QUANTILES = (0.0, 0.25, 0.5, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.98, 0.99, 0.995, 1.0)
 EDGE = 3  # periods of the smaller picture at its border, where stencils are others
 
 
@@ -92,15 +96,40 @@ def interpolation_variance(
 
     Notes
     -----
-    E² = k·d² with d² from `disagreement` and k of each channel from the trial: the mean of
-    (interpolated − true)² less the noise of both over that of d². Where the picture is too small for a trial, k = 1.
+    E² = g(d²) with d² from `disagreement` and g from the trial, channel by channel: the mean of
+    (interpolated − true)² less the noise of both in groups of like d², rising; in proportion beyond
+    the last. Where the picture is too small for a trial, E² = d².
     """
     rough = disagreement(mosaic[0], mosaic[2], (table.shape[0], table.shape[1]))
-    factors = _trial(_smaller(mosaic, table, together=compares), table, interpolate)
-    found = rough[..., None] * factors.astype(np.float32)
-    for y, x in np.ndindex(table.shape):
-        found[y :: table.shape[0], x :: table.shape[1], table[y, x]] = 0
+    curves = _trial(_smaller(mosaic, table, together=compares), table, interpolate)
+    found = np.empty((*rough.shape, len(curves)), np.float32)
+    kinds = np.ascontiguousarray(table, np.int64)
+    in_threads(_follow, len(rough), np.ascontiguousarray(rough), kinds, curves, found)
     return found
+
+
+@njit(cache=True)
+def _follow(start, stop, rough, table, curves, found):  # type: ignore[no-untyped-def]
+    """Fill `found`, (h, w, c), with each channel's curve, (c, 2, groups), at `rough`; 0 where measured."""
+    channels, _, groups = curves.shape
+    for y in range(start, stop):
+        for x in range(rough.shape[1]):
+            d = np.float64(rough[y, x])
+            own = table[y % table.shape[0], x % table.shape[1]]
+            for k in range(channels):
+                at, mean = curves[k, 0], curves[k, 1]
+                if k == own:
+                    found[y, x, k] = 0.0
+                elif d >= at[groups - 1]:
+                    found[y, x, k] = mean[groups - 1] * d / max(at[groups - 1], 1e-30)
+                else:
+                    g = 0
+                    while g < groups - 1 and d > at[g]:
+                        g += 1
+                    low = max(g - 1, 0)
+                    span = at[g] - at[low]
+                    part = (d - at[low]) / span if span > 0.0 else 1.0
+                    found[y, x, k] = mean[low] + max(part, 0.0) * (mean[g] - mean[low])
 
 
 def _smaller(mosaic: Planes, table: np.ndarray, *, together: bool) -> Planes:
@@ -126,11 +155,11 @@ def _smaller(mosaic: Planes, table: np.ndarray, *, together: bool) -> Planes:
 
 
 def _trial(known: Planes, table: np.ndarray, interpolate: Interpolate) -> np.ndarray:
-    """Return E² over d² of each channel, (c,), from a picture of which all channels are known."""
+    """Return d² and E² of groups for each channel, (c, 2, groups), from a picture of which all channels are known."""
     rows, columns = table.shape
     high, wide, channels = known[0].shape
     if high < 2 * EDGE * rows + rows or wide < 2 * EDGE * columns + columns:
-        return np.ones(channels)
+        return np.stack([_curve(none, none) for none in np.empty((channels, 0))])
     which = table[np.arange(high)[:, None] % rows, np.arange(wide) % columns]
     mosaic = [np.take_along_axis(a, which[..., None], 2)[..., 0] for a in known]
     planes, noted, spread = interpolate(*mosaic)
@@ -140,11 +169,17 @@ def _trial(known: Planes, table: np.ndarray, interpolate: Interpolate) -> np.nda
     miss = ((planes - known[0]) ** 2 - spread - known[2])[inner]
     sound = ((noted | known[1])[inner] == 0) & np.isfinite(miss)
     used = [sound[..., k] & (which[inner] != k) for k in range(channels)]
-    return np.array([_factor(rough[inner][u], miss[..., k][u]) for k, u in enumerate(used)])
+    return np.stack([_curve(rough[inner][u], miss[..., k][u]) for k, u in enumerate(used)])
 
 
-def _factor(rough: np.ndarray, miss: np.ndarray) -> float:
-    total = float(rough.sum(dtype=float))
-    if len(rough) < FEWEST or total <= 0:
-        return 1.0
-    return max(float(miss.sum(dtype=float)) / total, 0.0)
+def _curve(rough: np.ndarray, miss: np.ndarray) -> np.ndarray:
+    """Return the means of both in groups by `rough`, (2, groups), that of `miss` never falling."""
+    if len(rough) < FEWEST:
+        return np.tile(np.linspace(0, 1, len(QUANTILES) - 1), (2, 1))
+    thin = np.s_[:: max(1, len(rough) // MOST)]
+    rough, miss = rough[thin].astype(np.float64), miss[thin].astype(np.float64)
+    order = np.argsort(rough, kind="stable")
+    edges = (np.array(QUANTILES) * len(order)).astype(int)
+    means = [(rough[order[a:b]].mean(), miss[order[a:b]].mean()) for a, b in pairwise(edges)]
+    at, mean = np.array(means).T
+    return np.stack([at, np.maximum.accumulate(np.maximum(mean, 0.0))])
