@@ -52,7 +52,7 @@ test-all:
 # yet: the tests' sources and the kernels of a build.
 warm: pages
 	-@$(BIN)/python -m pytest --collect-only -qq >/dev/null
-	-@$(BIN)/python -m pytest -qq tests/building/test_building_on.py -k count_the_same_stages >/dev/null
+	-@$(BIN)/python -m pytest -qq tests/building/test_world.py -k strips >/dev/null
 
 # Brings the pages up to date; the browser tests are skipped where that cannot be done here.
 .PHONY: pages

@@ -301,7 +301,8 @@ def average_steady(
         frames = watch_shots(frames, unlike, period, level_of(np.asarray(level)), saturation)
     clips: dict[str, float | None] = {"saturation": saturation, "black_clip": black_clip}
     template = average(frames, exposure_s=exposure_s, **clips)
-    channels, differing = light.channels, ((), 0.0)
+    channels = light.channels
+    differing: tuple[tuple[int, ...], float] = ((), 0.0)
     moments = times_s if times_s is not None and len(times_s) == template.count else None
     if level is None:
         shots = measure_offsets(channels)
@@ -426,8 +427,8 @@ class LampChange(NamedTuple):
     def in_groups(self, which: np.ndarray, count: int) -> LampChange:
         """Return means over channels that belong together: `which` group each is of, 0 to `count` − 1."""
         parts = [which == group for group in range(count)]
-        means = (np.array([values[part].mean() for part in parts]) for values in self[:4])
-        return LampChange(*means)
+        means = [np.array([values[part].mean() for part in parts]) for values in self[:4]]
+        return LampChange(means[0], means[1], means[2], means[3])
 
 
 def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
