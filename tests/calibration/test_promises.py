@@ -76,8 +76,8 @@ STEPS = {
     "normalised": lambda: demosaic(*mosaic(), ["ABC", "DEF", "GHI"]),
     "equalise": lambda: equalise_phases(*mosaic(), "GBRG"),
     "merge": lambda: merge_exposures(
-        [template(100, exposure_s=1.0), template(200, exposure_s=2.0)],
-        saturation=4095,
+        [template(4000, exposure_s=1.0), template(8000, exposure_s=2.0)],
+        saturation=65535,
         noise=NOISE,
     ),
     "denoise": lambda: Projecting(find_subspace([spectra()]))(spectra()),
