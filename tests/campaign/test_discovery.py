@@ -283,26 +283,6 @@ def test_every_sensor_that_lacks_something_is_named(tmp_path):
     assert "ccd1" in reported[0].message and "ccd3" in reported[1].message
 
 
-def test_what_is_wrong_with_one_cube_refuses_its_own_capture_only(tmp_path):
-    lay(tmp_path, "raw/{icon1,icon2}.hdr")
-    (tmp_path / "raw/icon1.raw").write_bytes(b"short")
-    captures, refusals = find_captures(campaign(tmp_path, CUBE, ""))
-    assert [c.object for c in captures] == ["icon2"] and list(refusals) == [("icon1", "vis", "")]
-    envi(tmp_path / "raw/white.hdr", (400, 500))
-    problem = problem_of(tmp_path, CUBE, 'white = "white"', key=("icon2", "vis", ""))
-    assert problem.code == "E_BAND_COUNT" and "white.hdr" in problem.file
-
-
-def test_names_that_are_near_are_named(tmp_path):
-    lay(tmp_path, f"{WHOLE}\nphoto/{{Icon-1.tiff,ikon1.tif,readme.tif,notes.tif}}")
-    key, targets = ("icon1", "photo", ""), BOTH + 'objects = ["icon1"]'
-    problem = problem_of(tmp_path, VIS + PHOTO, targets, key=key)
-    assert (problem.code, problem.expected) == ("E_NO_FRAMES", "photo/{target}.tif")
-    assert set(problem.found.split(", ")[:2]) == {"ikon1.tif", "Icon-1.tiff"}
-    targets = BOTH + 'objects = ["icno1"]'
-    assert "'icon1'" in problem_of(tmp_path, VIS, targets, key=("icno1", "vis", "")).fix
-
-
 def test_a_campaign_without_any_object_says_what_there_is(tmp_path):
     lay(tmp_path, "raw/{dark,white}/450nm.tif")
     with pytest.raises(Refused) as refused:
@@ -373,21 +353,10 @@ def test_the_filter_wheel_has_seven_bands_of_seven_exposures_and_darks_of_its_se
     assert not [f for f in sensor.dark if f.path.name.startswith("d2_")]
 
 
-def test_the_silios_board_has_nine_channels_and_the_kinect_three(tmp_path, real_data):
-    silios, kinect = example("silios-kinect", tmp_path, {"data": real_data})
-    assert counts(silios) == (9, 1, 1, 1) and counts(kinect) == (3, 1, 0, 0)
-
-
 def test_the_rededge_panel_has_five_sensors_whose_files_say_their_wavelengths(tmp_path, real_data):
     (capture,) = example("rededge", tmp_path, {"data": real_data})
     assert counts(capture) == (5, 5, 0, 0)
     assert [b.wavelength for b in capture.bands] == [475.0, 560.0, 668.0, 840.0, 717.0]
-
-
-def test_the_line_scan_has_580_bands_by_its_header(tmp_path, real_data):
-    (capture,) = example("envi-linescan", tmp_path, {"data": real_data})
-    assert counts(capture) == (580, 1, 1, 1)
-    assert (capture.bands[0].label, capture.bands[-1].wavelength) == ("367 nm", 1048.421)
 
 
 def test_a_manifest_tells_the_exposures_that_names_do_not(tmp_path):
@@ -441,13 +410,6 @@ def test_a_file_in_other_upper_and_lower_case_is_refused_with_both_spellings(
         assert (problem.found, problem.expected) == (file, expected)
     else:  # an object of its own, which has no reference image
         assert list(refusals) == [("Icon2", "uv", "")]
-
-
-def test_an_object_that_is_only_there_in_another_case_is_refused(tmp_path):
-    touch(tmp_path, "photo/icon1.tif", "Photo/icon2.tif")
-    captures, refusals = find_captures(campaign(tmp_path, PHOTO, "", reference="photo"))
-    assert [c.object for c in captures] == ["icon1"]
-    assert refusals["icon2", "photo", ""].problems[0].found == "Photo/icon2.tif"
 
 
 # --- what files state of their bands -------------------------------------------------------------

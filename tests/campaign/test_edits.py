@@ -12,7 +12,6 @@ from levkas.campaign.edits import (
     change_edits,
     change_outline,
     read_edits,
-    round_pair,
     sweep_corrections,
     write_edits,
 )
@@ -50,20 +49,6 @@ def test_what_is_written_is_read(tmp_path_factory, name, frame, edits):
         assert one == written.frames[key]
 
 
-def test_the_order_of_corrections_does_not_matter(tmp_path):
-    rows = ((1.0, 2.0, 3.0, 4.0), (5.0, 6.0, 7.0, 8.0))
-    texts = set()
-    for order in (rows, rows[::-1]):
-        write_edits(tmp_path / "edits.toml", Edits({("icon", "nir"): FrameEdits(added=order)}))
-        texts.add((tmp_path / "edits.toml").read_bytes())
-        assert FrameEdits(added=order).describe() == FrameEdits(added=rows).describe()
-    assert len(texts) == 1
-
-
-def test_no_file_means_no_corrections(tmp_path):
-    assert read_edits(tmp_path / "edits.toml") == Edits()
-
-
 def test_everything_that_is_wrong_is_said_at_once(tmp_path):
     path = tmp_path / "edits.toml"
     path.write_text(
@@ -90,11 +75,6 @@ def test_one_pair_cannot_be_deleted_and_pinned(tmp_path):
     with pytest.raises(EditsInvalid) as refused:
         read_edits(path)
     assert [p.field.rpartition(".")[2] for p in refused.value.problems] == ["pinned", "reject"]
-
-
-def test_what_is_corrected_is_told_apart_by_a_hundredth_of_a_pixel():
-    one = FrameEdits(added=(round_pair((1, 2, 3, 4)),))
-    assert one.describe() != FrameEdits(added=(round_pair((1, 2, 3, 4.01)),)).describe()
 
 
 def test_a_link_that_leads_nowhere_is_no_file_without_corrections(tmp_path):
@@ -161,12 +141,6 @@ def test_an_outline_that_is_no_polygon_is_refused(tmp_path, corners):
     assert problem.field == "objects.icon.outline"
 
 
-def test_an_outline_may_be_closed_by_its_first_corner(tmp_path):
-    path = tmp_path / "edits.toml"
-    path.write_text("version = 1\n[objects.icon]\noutline = [[0, 0], [9, 0], [9, 9], [0, 0]]\n")
-    assert read_edits(path).outlines == {"icon": ((0.0, 0.0), (9.0, 0.0), (9.0, 9.0))}
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -210,16 +184,3 @@ def test_an_editor_that_saves_while_a_change_is_made_keeps_what_it_saved(tmp_pat
         change_edits(path, "icon", frame_of, FrameEdits(), FrameEdits(stop=3.0))
     assert refused.value.problems[0].code == "E_BUSY"
     assert list(read_edits(path).frames) == [("icon", "nir")]
-
-
-def test_a_drawn_outline_that_another_has_changed_or_that_is_no_polygon_is_refused(tmp_path):
-    path = tmp_path / "edits.toml"
-    change_outline(path, "icon", (), OUTLINE)
-    there = path.read_bytes()
-    with pytest.raises(EditsConflict) as refused:
-        change_outline(path, "icon", (), OUTLINE[::-1])
-    assert refused.value.present == OUTLINE
-    with pytest.raises(EditsInvalid):
-        change_outline(path, "icon", OUTLINE, ((0, 0), (9, 9), (9, 0), (0, 9)))
-    assert path.read_bytes() == there
-    assert change_outline(path, "icon", (), OUTLINE) == OUTLINE  # both drew the same

@@ -54,22 +54,6 @@ def test_every_command_has_examples_and_no_other():
 
 
 @pytest.mark.parametrize(
-    ("line", "meant"),
-    [
-        ("export icons --for envy", "envi"),
-        ("valdate icons", "validate"),
-        ("build icons --objct a", "--object"),
-        ("plan expsure a", "exposure"),
-    ],
-)
-def test_a_near_miss_is_named(line, meant):
-    status, _, err = run(*line.split())
-    assert status == 2 and re.search(
-        rf"[Dd]id you mean:? '?{meant}|Possible options: {meant}", err
-    ), err
-
-
-@pytest.mark.parametrize(
     "line",
     ["export icnos --for envi", "build icnos", "evaluate icnos", "map icnos icon1 --to d80"],
 )

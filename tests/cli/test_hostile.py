@@ -3,7 +3,6 @@
 `tests/readers` asks the readers alone, with more kinds.
 """
 
-import importlib.util
 import json
 import os
 import shutil
@@ -221,39 +220,6 @@ def test_folders_of_900_levels_are_left_out_or_refused_and_links_in_a_circle_ent
         assert codes("status", tmp_path) == {"E_SIZE"}
     finally:
         without_depth(tmp_path)
-
-
-def bombs():
-    """The module of `tests/readers/test_bombs.py`, which makes hostile files."""
-    place = Path(__file__).parents[1] / "readers" / "test_bombs.py"
-    spec = importlib.util.spec_from_file_location("bombs", place)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-MADE = bombs()
-BOMBS = [n for n, one in MADE.BOMBS.items() if not one[1].endswith(("toml", "csv", "json"))]
-THROUGH_COMMANDS = ("tiff of pages over one another", "png that its bytes cannot hold")
-
-
-@UNIX
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[pytest.mark.exhaustive] * (n not in THROUGH_COMMANDS)) for n in BOMBS],
-)
-def test_no_command_ends_in_a_traceback_over_a_hostile_frame(name, tmp_path):
-    _, called, make = MADE.BOMBS[name]
-    file = MADE.lay(tmp_path, "made", called, make())
-    run("look", file.parent)
-    run("radiometry", file)
-    run("plan", "exposure", file, "--bits", "12")
-    run("chart", file)
-    for beside in file.parent.iterdir():
-        (tmp_path / f"icon{beside.suffix}").symlink_to(beside)
-    text = (HEAD + CAMERA).replace("vis/{target}.png", f"{{target}}{file.suffix}")
-    (tmp_path / "campaign.toml").write_text(text)
-    run("status", tmp_path)
 
 
 @UNIX

@@ -118,23 +118,6 @@ def test_a_check_of_publish_names_everything_that_is_wrong(made_database, tmp_pa
     assert found.exit_code == 1 and len(json.loads(found.stdout)["problems"]) >= 3
 
 
-def test_an_empty_folder_of_darks_is_refused(place, tmp_path):
-    words = ["plan", "exposure", str(place / "white.tif"), "--bits", "12", "--dark", str(tmp_path)]
-    refused = CliRunner().invoke(app, words)
-    assert refused.exit_code == 1 and "no frame in this folder" in refused.output
-
-
-def test_options_of_a_cube_or_a_database_are_refused_with_a_campaign(place):
-    for words in (["--kind", "edges"], ["--object", "panel"], ["--edge", "1,1,9,9"]):
-        refused = CliRunner().invoke(app, ["chart", str(place), *words])
-        assert (
-            refused.exit_code == 1 and f"{words[0]} has no effect with a campaign" in refused.output
-        )
-    for words in (["--object", "a"], ["--camera", "a"]):
-        refused = CliRunner().invoke(app, ["chart", str(place / "white.tif"), *words])
-        assert refused.exit_code == 1 and "has no effect with a cube" in refused.output
-
-
 @pytest.mark.parametrize(
     "words, meant",
     [

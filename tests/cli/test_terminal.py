@@ -15,7 +15,6 @@ from levkas.building.build_records import Key
 from levkas.building.graph import Step
 from levkas.cli import ORDER, app
 from levkas.cli.output import draw_bar
-from levkas.core.problems import Problem
 
 TOML = """
 [campaign]
@@ -146,29 +145,6 @@ def test_the_bar_counts_work_alone_and_promises_no_time():
     assert "1 of at most 2" in shown and "of at most 4" not in shown.replace("0 of at most 3", "")
     assert "0:00; 0:00 in all" in shown and "a/c4 calibrate" in shown
     assert "-:--" not in shown and "remaining" not in shown
-
-
-def test_the_bar_shows_the_frames_that_a_stage_reads(tmp_path):
-    from levkas.readers.frames import read_frame
-
-    tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint16))
-
-    def steps():
-        key = Key("a", "c", stage="calibrate")
-        yield Step(key, "running", done=0, total=2)
-        for _ in range(3):
-            read_frame(tmp_path / "a.tif")
-        yield Step(Key("a", "d", stage="calibrate"), "fresh", done=1, total=2)
-
-    assert "0:00, 3 frames; " in drawn(steps())
-
-
-def test_a_refusal_above_the_bar_is_three_lines():
-    problem = Problem("E_X", "it is broken", "a.tif", found=[1, 2], fix="Mend it.")
-    step = Step(Key("a", "c", stage="register"), "refused", done=1, total=1, problems=(problem,))
-    shown = drawn(iter([step, step]))
-    assert shown.count("E_X: it is broken") == 1
-    assert "  where: a.tif: found [1, 2]" in shown and "  do: Mend it." in shown
 
 
 def test_the_commands_are_listed_in_groups_in_the_order_of_work():

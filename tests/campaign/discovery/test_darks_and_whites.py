@@ -1,10 +1,8 @@
-import re
-
 import numpy as np
 import pytest
 import tifffile
 
-from levkas.campaign.campaign import CampaignInvalid, load_campaign
+from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures, find_charts
 
 TARGETS = 'dark = "dark"\nwhite = "white"\n'
@@ -42,19 +40,6 @@ def names(refs):
     return [f"{f.path.parent.name}/{f.path.name}" for f in refs]
 
 
-def test_a_white_in_the_folder_of_an_object_serves_this_object_alone(tmp_path):
-    for icon in ("icon1", "icon2"):
-        touch(tmp_path, *(f"{icon}/{n}_1.tif" for n in ("frame", "dark", "white")))
-        touch(tmp_path, f"{icon}/white_2.tif")
-    found, refusals = find(tmp_path, SESSIONS)
-    assert not refusals
-    for icon, sensor in found.items():
-        assert names(sensor.white) == [f"{icon}/white_1.tif", f"{icon}/white_2.tif"]
-        assert names(sensor.dark) == [f"{icon}/dark_1.tif"]
-        assert {f.object for f in (*sensor.white, *sensor.dark)} == {icon}
-        assert not sensor.remarks
-
-
 def test_the_white_of_an_object_goes_before_the_white_of_all(tmp_path):
     for icon in ("icon1", "icon2"):
         touch(tmp_path, f"{icon}/frame_1.tif")
@@ -68,16 +53,6 @@ def test_the_white_of_an_object_goes_before_the_white_of_all(tmp_path):
     assert "no white of icon2 alone was found, as there is of icon1" in found["icon2"].remarks[0]
 
 
-def test_the_white_of_an_object_is_no_shot_of_it_wherever_its_pattern_stands(tmp_path):
-    touch(tmp_path, *(f"icon1/{n}_1.tif" for n in ("frame", "dark", "white")))
-    patterns = '"{target}/*_{shot}.tif", "{object}/{target}_{shot}.tif"'
-    text = re.sub(r"files = \[.*\]", f"files = [{patterns}]", SESSIONS)
-    found, refusals = find(tmp_path, text)
-    assert not refusals
-    assert names(found["icon1"].object) == ["icon1/frame_1.tif"]
-    assert names(found["icon1"].white) == ["icon1/white_1.tif"]
-
-
 def test_an_object_without_its_white_is_refused_and_the_others_are_not(tmp_path):
     for icon in ("icon1", "icon2"):
         touch(tmp_path, f"{icon}/frame_1.tif", f"{icon}/dark_1.tif")
@@ -88,13 +63,6 @@ def test_an_object_without_its_white_is_refused_and_the_others_are_not(tmp_path)
     assert problem.code == "E_TEMPLATE_MISSING"
     assert problem.found == "white of icon1, icon_2" and "icon_2" in problem.fix
     assert "icon2/white_{shot}.tif" in problem.expected.replace("{target}", "white")
-
-
-def test_other_files_beside_an_objects_darks_are_no_objects(tmp_path):
-    touch(tmp_path, *(f"icon1/{n}_1.tif" for n in ("frame", "dark", "white", "notes", "Dark")))
-    text = SESSIONS.replace(', "{target}_{shot}.tif"', "")
-    found, refusals = find(tmp_path, text)
-    assert list(found) == ["icon1"] and not refusals
 
 
 def test_a_setup_has_darks_and_whites_of_one_object_too(tmp_path):
@@ -206,12 +174,6 @@ def test_a_frame_that_cannot_be_read_refuses_its_own_capture_alone(tmp_path):
     assert {"icon1", "icon3"} <= set(found)
 
 
-def test_an_image_has_no_darks_to_say_an_object_of(tmp_path):
-    touch(tmp_path, "icon1/frame_1.tif")
-    with pytest.raises(CampaignInvalid):
-        find(tmp_path, SESSIONS.replace('"bands"\nbands = ["grey"]', '"image"'), "")
-
-
 def test_an_object_of_a_white_may_stand_beside_its_name(tmp_path):
     touch(tmp_path, "icon_1_frame_001.tif", "icon_1_white_001.tif", "icon_1_dark_001.tif")
     text = FLAT.replace(
@@ -220,19 +182,3 @@ def test_an_object_of_a_white_may_stand_beside_its_name(tmp_path):
     found, refusals = find(tmp_path, text)
     assert not refusals and list(found) == ["icon_1"]
     assert names(found["icon_1"].white) == [f"{tmp_path.name}/icon_1_white_001.tif"]
-
-
-def test_the_name_of_no_object_that_is_there_is_refused_where_nothing_else_serves(tmp_path):
-    touch(tmp_path, "icon1/frame_1.tif", "icon1/dark_1.tif", "Icon1/white_1.tif")
-    found, refusals = find(tmp_path, SESSIONS)
-    assert not found
-    assert refusals["icon1", "cam", ""].problems[0].code == "E_TEMPLATE_MISSING"
-
-
-def test_frames_of_a_setup_and_of_none_stand_in_the_order_of_their_paths(tmp_path):
-    touch(tmp_path, "b10/icon1_1.tif", "icon1_2.tif", "b10/icon1_3.tif", "a/icon1_9.tif")
-    touch(tmp_path, "dark_1.tif", "white_1.tif")
-    patterns = '"{target}_{shot}.tif", "a/{target}_{shot}.tif", "{setup}/{target}_{shot}.tif"'
-    found, _ = find(tmp_path, re.sub("files = .*", f"files = [{patterns}]", FLAT))
-    shown = [f.path.relative_to(tmp_path).as_posix() for f in found["icon1"].object]
-    assert shown == ["a/icon1_9.tif", "b10/icon1_1.tif", "b10/icon1_3.tif", "icon1_2.tif"]

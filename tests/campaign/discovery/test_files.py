@@ -5,9 +5,7 @@ from levkas.campaign.discovery import file_index as module
 from levkas.campaign.discovery.file_index import (
     FolderListings,
     find_files,
-    nearest,
 )
-from levkas.campaign.discovery.patterns import Pattern
 
 
 def touch(root, *names):
@@ -21,27 +19,6 @@ def names(root, *patterns, **more):
     return [f.path.relative_to(root).as_posix() for f in find_files(root, patterns, **more)]
 
 
-def test_the_order_is_natural_whatever_the_file_system_says(tmp_path, monkeypatch):
-    touch(tmp_path, *(f"raw/icon1/DSC_{n}.tif" for n in (10, 9, 100, 1)))
-    found = find_files(tmp_path, ["raw/{target}/DSC_{shot}.tif"])
-    assert [f.shot for f in found] == ["1", "9", "10", "100"]
-    listed = os.scandir
-
-    class Backwards:
-        def __init__(self, folder):
-            with listed(folder) as entries:
-                self.entries = sorted(entries, key=lambda e: e.name, reverse=True)
-
-        def __enter__(self):
-            return iter(self.entries)
-
-        def __exit__(self, *_):
-            pass
-
-    monkeypatch.setattr(module.os, "scandir", Backwards)
-    assert find_files(tmp_path, ["raw/{target}/DSC_{shot}.tif"]) == found
-
-
 def test_every_folder_is_listed_once_for_many_patterns(tmp_path, monkeypatch):
     touch(tmp_path, *(f"raw/t{t}/{s}_{n}.tif" for t in range(3) for s in "abc" for n in range(2)))
     listed = []
@@ -52,12 +29,6 @@ def test_every_folder_is_listed_once_for_many_patterns(tmp_path, monkeypatch):
         pattern = f"raw/{{target}}/{sensor}_{{shot}}.tif"
         assert len(find_files(tmp_path, [pattern], folders=folders)) == 6
     assert len(listed) == len(set(listed)) == 4
-
-
-def test_the_first_pattern_that_fits_a_file_counts(tmp_path):
-    touch(tmp_path, "a_1.tif", "b.tif")
-    found = find_files(tmp_path, ["{target}_{shot}.tif", "{target}.tif"])
-    assert [(f.target, f.shot) for f in found] == [("a", "1"), ("b", "")]
 
 
 def test_hidden_files_and_what_we_wrote_are_never_found(tmp_path):
@@ -81,15 +52,6 @@ def test_a_link_that_leads_back_is_not_followed_for_ever(tmp_path):
     assert len(find_files(tmp_path, ["a/again/a/{target}.tif"])) == 1
 
 
-def test_the_folder_above_may_be_named(tmp_path):
-    touch(tmp_path, "shared/a/1.tif", "home/x/campaign.toml")
-    found = find_files(tmp_path / "home" / "x", ["../../shared/{target}/{shot}.tif"])
-    assert [f.target for f in found] == ["a"]
-    assert found == find_files(tmp_path, [f"{tmp_path}/shared/{{target}}/{{shot}}.tif"]) or found[
-        0
-    ].path.samefile(tmp_path / "shared/a/1.tif")
-
-
 def test_accents_that_a_file_system_took_apart_are_put_together(tmp_path):
     touch(tmp_path, unicodedata.normalize("NFD", "Église.tif"))
     (found,) = find_files(tmp_path, ["{target}.tif"], known={"target": ("Église",)})
@@ -100,16 +62,3 @@ def test_a_header_and_its_data_are_one_file(tmp_path):
     touch(tmp_path, "a.hdr", "a.raw", "b.raw.hdr", "b.raw", "c.hdr", "c", "d.raw")
     assert names(tmp_path, "{target}*") == ["a.hdr", "b.raw.hdr", "c.hdr", "d.raw"]
     assert names(tmp_path, "{target}.raw") == ["a.raw", "b.raw", "d.raw"]
-
-
-def test_the_nearest_names_are_shown(tmp_path):
-    touch(tmp_path, "raw/icon1/550.tif", "raw/icon2/550.tif", "raw/white/550.tif", "raw/dark/x.tif")
-    pattern = Pattern.parse("raw/{target}/{wavelength}nm.tif")
-    assert nearest(tmp_path, pattern.with_value("target", "icon3"))[1] == [
-        "icon1",
-        "icon2",
-        "white",
-    ]
-    assert nearest(tmp_path, pattern)[1][0] == "550.tif"
-    folder, near = nearest(tmp_path, Pattern.parse("rwa/{target}/*.tif"))
-    assert folder == tmp_path and near == ["raw"]

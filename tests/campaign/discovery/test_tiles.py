@@ -9,7 +9,7 @@ import tifffile
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.campaign.discovery.find_captures import find_captures
-from levkas.campaign.discovery.tiles import holes, read_positions
+from levkas.campaign.discovery.tiles import read_positions
 
 FILES = 'files = ["raw/{target}/r{row}c{column}_{shot}.tif", "raw/{target}_{shot}.tif"]'
 PLACES = ("r01c1", "r01c2", "r01c10", "r02c1", "r02c2", "r02c10")
@@ -51,15 +51,6 @@ def test_frames_of_rows_and_columns_are_tiles_in_their_order(tmp_path):
     assert any("r1c3, r1c4" in remark for remark in whole.remarks)  # nothing between 2 and 10
 
 
-def test_tiles_have_any_name(tmp_path):
-    files = 'files = ["raw/{target}/{tile}_{shot}.tif", "raw/{target}_{shot}.tif"]'
-    (capture,), _ = find_captures(
-        campaign(tmp_path, files, places=("Grid 0 1", "left", "Grid 0 0"))
-    )
-    assert [part.tile for part in capture.tiles] == ["Grid 0 0", "Grid 0 1", "left"]
-    assert capture.sensors[0].remarks == ()
-
-
 def test_a_name_that_means_something_in_frames_is_refused(tmp_path):
     files = 'files = ["raw/{target}/{tile}_{shot}.tif", "raw/{target}_{shot}.tif"]'
     problems = refusal(tmp_path, files=files, places=("Grid@0 1",))
@@ -93,11 +84,6 @@ def test_keys_of_tiles_are_checked(tmp_path, change, field):
     with pytest.raises(CampaignInvalid) as refused:
         campaign(tmp_path, **change)
     assert [p.field for p in refused.value.problems] == [field]
-
-
-def test_holes_are_those_of_a_grid():
-    assert holes(["r0c0", "r2c1", "r2c0"]) == ["r0c1", "r1c0", "r1c1"]
-    assert holes(["r1c1", "left"]) == []
 
 
 def test_a_table_of_positions_has_a_row_a_tile(tmp_path):

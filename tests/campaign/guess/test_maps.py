@@ -9,7 +9,6 @@ from scipy import ndimage
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.guess import look, write_campaign
-from levkas.campaign.guess.words import are_elements
 
 NAMES = ("Pb_L", "Hg_L", "Cu_K", "Fe_K", "Ar_K")
 RPL = "key\tvalue\nwidth\t50\nheight\t38\ndepth\t5\noffset\t0\ndata-length\t4\ndata-type\tfloat\nbyte-order\tlittle-endian\nrecord-by\timage\n"
@@ -81,10 +80,3 @@ def test_maps_are_proposed_as_such_beside_a_photograph(tmp_path, write):
     found = [one for one in captures if one.camera == "xrf"]
     assert [one.object for one in found] == ["icon1", "icon2"]
     assert all(len(one.bands) == 5 for one in found)
-
-
-def test_colours_sides_and_initials_are_no_elements():
-    assert not are_elements(["R", "G", "B"])
-    assert not are_elements(["C", "K", "Y", "P"])
-    assert not are_elements(["left", "right", "Pb"])
-    assert are_elements(["Pb", "Hg", "S"])

@@ -15,10 +15,6 @@ def noisy(shape=(60, 80), level=2000.0, seed=0):
     return rng.normal(level * falloff, np.sqrt(level), shape).round().astype(np.uint16)
 
 
-def test_a_plain_sensor_has_no_mosaic_for_all_its_noise_and_vignetting():
-    assert find_mosaic(describe_pixels(noisy()).phases) == 0
-
-
 @pytest.mark.parametrize("side", [2, 3, 4, 5])
 def test_the_side_of_a_tile_is_found(side):
     gains = np.random.default_rng(side).uniform(0.5, 1.0, (side, side))

@@ -23,11 +23,6 @@ def test_what_is_spelled_is_what_is_read(record):
     assert tomllib.loads(to_toml(record)) == record
 
 
-def test_what_is_empty_is_left_out():
-    reported = to_toml({"a": "", "b": None, "c": {"d": []}, "e": [{"name": "x", "orcid": None}]})
-    assert tomllib.loads(reported) == {"e": [{"name": "x"}]}
-
-
 def test_an_orcid_with_a_wrong_check_digit_is_refused():
     for text in ("https://orcid.org/0000-0002-1825-0097", "0000-0002-1694-233x"):
         creator = Creator(name="A", orcid=text)

@@ -49,15 +49,6 @@ def test_what_is_no_toml_names_the_file(tmp_path, text):
     assert refused(tmp_path, text).file.endswith("x.toml")
 
 
-def test_strings_and_comments_may_hold_what_keys_may_not(tmp_path):
-    dots = "." * 5000
-    text = (
-        f'# {dots} [[[[\na = "{dots}[[{{"\nb = \'\'\'{dots}\n{dots}\'\'\'\nc = """\\"{dots}"""""\n'
-    )
-    (tmp_path / "x.toml").write_text(text)
-    assert read_toml(tmp_path / "x.toml") == tomllib.loads(text)
-
-
 @given(st.text(alphabet="ab.=[]{}\"'\\#,\n 1", max_size=60))
 def test_every_text_is_read_as_tomllib_reads_it_or_refused(tmp_path_factory, text):
     path = tmp_path_factory.mktemp("toml") / "x.toml"
