@@ -33,10 +33,10 @@ def test_every_page_leads_to_what_stands_beside_it(database, publish, built):
 
 def test_a_report_leads_to_the_viewer_once_there_is_one(database, publish, built):
     from levkas.database.manifest import write_manifest
-    from levkas.pages.page import ObjectReport, render_page
+    from levkas.pages.page import render_page
 
     address = "../../viewer/objects/icon1/index.html"
-    page = render_page("report.html", page=ObjectReport("Icon", (), "vis", (), viewer=address))
+    page = render_page("report.html", page={"title": "Icon", "views": (), "viewer": address})
     (database / "objects/icon1/report.html").write_text(page, encoding="utf-8")
     write_manifest(database)
     assert f'<a hidden href="{address}">' in page

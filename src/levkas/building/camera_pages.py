@@ -15,7 +15,7 @@ from levkas.building.build_records import BuildRecords, Key, key_of
 from levkas.building.fingerprints import digest, written
 from levkas.building.graph import cameras_with_pages, page_key
 from levkas.calibration.chart_light import CHART_WHITE
-from levkas.calibration.drift import LAMP, NOTICED
+from levkas.calibration.drift import LAMP
 from levkas.campaign.discovery.find_captures import find_charts
 from levkas.core.disk import WriteRefused
 from levkas.core.files import make_folder, write_json, write_text
@@ -315,14 +315,8 @@ def _page(
 ) -> str:
     """Return the HTML of a camera's page; `strayed` is whether stray light was measured."""
     from levkas.calibration.sensor_context import spread
-    from levkas.pages.camera import (
-        CameraReport,
-        chart_white_rows,
-        light_row,
-        render_camera,
-        sensor_row,
-    )
     from levkas.pages.charts import describe_chart
+    from levkas.pages.page import render_page
     from levkas.pages.radiometry import draw_light
 
     sensors, lights, figures, notes, whites = [], [], [], [], []
@@ -330,55 +324,39 @@ def _page(
         for sensor, of_sensor in of_sensors.items():
             name = " ".join(part for part in (setup, sensor) if part)
             if "sensor" in of_sensor:
-                sensors.append(sensor_row(name, of_sensor["sensor"]))
-            if CHART_WHITE in of_sensor:
-                whites += chart_white_rows(name, of_sensor[CHART_WHITE])
-                notes.append(
-                    f"{name or camera}: fitted to the patches of a chart and extrapolated beyond the chart"
-                )
+                sensors.append((name or "the only one", of_sensor["sensor"]))
+            bands = of_sensor.get(CHART_WHITE, {}).get("bands", {})
+            whites += [(f"{name} {label}".strip(), band) for label, band in bands.items()]
             fields = of_sensor.get("light", {})
-            notes += _of_lamp(of_sensor) if fields else []
-            for label in spread(list(fields), FEW_BANDS):
-                lights.append(light_row(f"{name} {label}".strip(), fields[label]))
-            notes += [f"{b}: {one['refused']}" for b, one in fields.items() if "refused" in one]
-            drawn = [label for label, light in fields.items() if "levels" in light]
-            if drawn:
+            shown = {*spread(list(fields), FEW_BANDS)}
+            shown |= {label for label, light in fields.items() if "refused" in light}
+            lights += [(f"{name} {b}".strip(), f) for b, f in fields.items() if b in shown]
+            lamps = of_sensor.get(LAMP, {}).values()
+            if fields:
+                known = any(one["white"] is not None for one in lamps)
+                notes.append(LAMP_JUMP if known else LAMP_UNKNOWN)
+            if drawn := [label for label, light in fields.items() if "levels" in light]:
                 label = drawn[len(drawn) // 2]
                 what = f"{name} {label}".strip()
                 figures += draw_light(fields[label], levels_of(fields[label]), what)
-    strayed = strayed or any(
-        STRAYED in one for of_sensors in measured.values() for one in of_sensors.values()
-    )
+            strayed = strayed or STRAYED in of_sensor
     if lights and not strayed:
         notes.append(NOT_MEASURED)
-    return render_camera(
-        CameraReport(
-            title=camera,
-            sensors=sensors,
-            lights=lights,
-            light_notes=notes,
-            figures=figures,
-            whites=whites,
-            budgets=[one for one in budgets if one[1] is not None],
-            charts=[describe_chart(m) for m in measures],
-            problems=[{"code": p.code, "text": written(campaign, p)} for p in problems],
-            footer=f"Levkas {__version__}. Camera {camera}; coordinates are in its native pixels.",
-        )
+    return render_page(
+        "camera.html",
+        page={
+            "title": camera,
+            "sensors": sensors,
+            "lights": lights,
+            "notes": dict.fromkeys(notes),
+            "figures": figures,
+            "whites": whites,
+            "budgets": [one for one in budgets if one[1] is not None],
+            "charts": [describe_chart(m) for m in measures],
+            "problems": [{"code": p.code, "text": written(campaign, p)} for p in problems],
+            "footer": f"Levkas {__version__}. Camera {camera}; coordinates are in its native pixels.",
+        },
     )
-
-
-def _of_lamp(of_sensor: Mapping[str, Any]) -> list[str]:
-    """Return how the lamp changed within the white of a sensor, or that this was not measured."""
-    lamps = {
-        b: one["white"] for b, one in of_sensor.get(LAMP, {}).items() if one["white"] is not None
-    }
-    if not lamps:
-        return [LAMP_UNKNOWN]
-    band = max(lamps, key=lambda b: abs(lamps[b]))
-    scan, notes = of_sensor[LAMP][band], []
-    if abs(lamps[band]) * max(scan.get("reach", 0.0), 1.0) > NOTICED:
-        notes.append(f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white")
-    return [*notes, LAMP_JUMP]
 
 
 LAMP_UNKNOWN = (

@@ -42,11 +42,8 @@ from levkas.pages.agreement import describe_agreement
 from levkas.pages.budget import UncertaintyBudget, describe_budget
 from levkas.pages.maps import draw_maps
 from levkas.pages.page import (
-    CloseUpRow,
-    CloseUps,
     Figure,
     LayerReport,
-    ObjectReport,
     describe_flags,
     describe_model,
     embed_png,
@@ -78,6 +75,8 @@ if TYPE_CHECKING:
     Registrations = Mapping[str, dict[str, Any]]
 
 
+RADIOMETRY = ("calibrate", "resample")
+"""Stages that note noise, glare and focus."""
 FRAME = "frame "
 """Begins what a fingerprint says of the use of a file as a frame."""
 PROVENANCE = "provenance.json"
@@ -110,7 +109,8 @@ def write_report(
     draw = partial(_drawn, outcomes, captures, budgets, registered)
     # Layers are compared in compiled code, and drawn under the interpreter's lock.
     pairs, (layers, rows) = each(lambda make: make(), (compare, draw))
-    sampling = _sampling(registered.get(captures[0].layer))
+    first = registered.get(captures[0].layer)
+    sampling = None if first is None else mm_per_px(first)
     words = {layer.name: text for layer, text in why.items()}
     layers = [replace(one, earlier=words.get(one.name, "")) for one in layers]
     html = report_of(campaign, places, captures, steps, layers, rows, sampling, pairs)
@@ -133,55 +133,47 @@ def report_of(
     steps: list[Step],
     layers: list[LayerReport],
     rows: list[RadiometryRow],
-    sampling: str,
+    sampling: float | None,
     pairs: Sequence[PairAgreement],
 ) -> str:
     """Return the HTML of an object's report; `pairs` are how its layers agree, `sampling` is in mm a pixel."""
     name = captures[0].object
     facts = campaign.objects.get(name)
-    lines = (
-        [facts.creator, facts.date or "", facts.medium, facts.owner, facts.inventory]
-        if facts
-        else []
-    )
-    lines += [campaign.campaign.title, campaign.campaign.date or "", facts.rights if facts else ""]
-    lines += [campaign.campaign.licence]
-    refused_layers = {
-        layer.name for layer in layers if layer.decision == "refuse"
-    }  # in its own section
-    refused = [s for s in steps if s.state == "refused" and s.key.layer not in refused_layers]
-    problems = [
-        {"code": p.code, "text": written(campaign, p)} for step in refused for p in step.problems
-    ]
+    lines = [facts.creator, facts.date, facts.medium, facts.owner, facts.inventory] if facts else []
+    described = campaign.campaign
+    lines += [described.title, described.date, facts.rights if facts else "", described.licence]
+    own = {layer.name for layer in layers if layer.decision == "refuse"}  # in its own section
+    refused = [s for s in steps if s.state == "refused" and s.key.layer not in own]
     reference = campaign.reference
-    reported = {layer.name for layer in layers}
-    lost = list(dict.fromkeys(step.key.layer for step in refused))
-    lost = [layer for layer in lost if layer and layer not in reported]
+    reported = {"", *(layer.name for layer in layers)}
+    lost = [n for n in dict.fromkeys(step.key.layer for step in refused) if n not in reported]
     agreement = describe_agreement(pairs)
     return render_page(
         "report.html",
-        page=ObjectReport(
-            title=(facts.title if facts else "") or name,
-            facts=[text for text in dict.fromkeys(lines) if text],
-            reference=f"{reference.camera}:{reference.band}"
+        page={
+            "title": (facts.title if facts else "") or name,
+            "facts": [text for text in dict.fromkeys(lines) if text],
+            "reference": f"{reference.camera}:{reference.band}"
             if reference.band
             else f"the middle band of {reference.camera}",
-            layers=layers,
-            problems=problems,
-            mm_per_px=sampling,
-            footer=f"Levkas {__version__}. Object {name}; lengths are in pixels of the reference band "
+            "layers": layers,
+            "problems": [
+                {"code": p.code, "text": written(campaign, p)} for s in refused for p in s.problems
+            ],
+            "mm_per_px": sampling and f"{sampling:.3f}",
+            "footer": f"Levkas {__version__}. Object {name}; lengths are in pixels of the reference band "
             "unless stated otherwise.",
-            views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
-            radiometry=rows,
-            short=summarise_layers(
-                *(layers, rows, float(sampling) if sampling else None, lost),
+            "views": [{"name": one.name, "src": one.preview} for one in layers if one.preview],
+            "radiometry": rows,
+            "short": summarise_layers(
+                *(layers, rows, sampling, lost),
                 agreement=agreement.short if agreement else (),
             ),
-            agreement=agreement,
-            links=(("museum facts", "object.toml"), ("provenance", PROVENANCE)),
-            viewer=f"../../viewer/objects/{name}/index.html",
-            setups=close_ups(places, captures),
-        ),
+            "agreement": agreement,
+            "links": (("museum facts", "object.toml"), ("provenance", PROVENANCE)),
+            "viewer": f"../../viewer/objects/{name}/index.html",
+            "setups": close_ups(places, captures),
+        },
     )
 
 
@@ -221,8 +213,9 @@ def _drawn(
         for c in captures
         if c.layer in registrations
     )
-    layers = [layer for layer in made if layer is not None]
-    return layers, radiometry_rows(outcomes.records, captures)
+    noted = ([outcomes.records.notes(key_of(c, s)) for s in RADIOMETRY] for c in captures)
+    rows = [describe_layer(c.layer, *both) for c, both in zip(captures, noted, strict=True)]
+    return [one for one in made if one is not None], [row for row in rows if row is not None]
 
 
 def _budget_of(
@@ -284,7 +277,7 @@ def _layer(
     if not shares_light(record, [band.wavelength for band in capture.bands]):
         ssim, ssim_map = None, ""
     error, checked = _error(record)
-    scale, shifts = mm_per_px(record), _band_shifts(record)
+    scale = mm_per_px(record)
     drawn = [Figure(svg, caption) for svg, caption in registered.get("figures", [])]
     removal = record.get("trace", {}).get("kind") == "removal"
     quantity = str(calibrated.get("quantity", ""))
@@ -321,9 +314,6 @@ def _layer(
         links=_links_of_layer(campaign, places, capture),
         recorded=registered.get("recorded", ""),
         ssim_map=f"data:image/png;base64,{ssim_map}" if ssim_map else "",
-        columns=("shift at the centre, px", "x", "y"),
-        rows=_band_rows(shifts),
-        apart_px=max((float(np.linalg.norm(apart)) for apart in shifts.values()), default=0.0),
         budget=_describe_budget(capture, budget, resampled) if shown else None,
     )
 
@@ -407,70 +397,30 @@ def _check_points(errors: dict[str, Any]) -> str:
     )
 
 
-def _band_shifts(record: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Return where the middle of the reference lies in each band, against the camera's reference channel: x, y, px."""
-    from levkas.geometry import from_dict
-
-    bands = record.get("bands", {})
-    channel = record.get("target", {}).get("band")
-    if channel not in bands:
-        return {}
-    size = np.array(record["reference"]["size"], float)
-    middle = (size[None] - 1) / 2
-    base = from_dict(bands[channel]["transform"])
-    return {
-        label: (base.inverse(from_dict(band["transform"])(middle)) - middle)[0]
-        for label, band in bands.items()
-    }
-
-
-def _band_rows(shifts: Mapping[str, np.ndarray]) -> list[list[str]]:
-    return [
-        [label, f"{np.linalg.norm(apart):.3f}", f"{apart[0]:+.3f}", f"{apart[1]:+.3f}"]
-        for label, apart in shifts.items()
-    ]
-
-
-def _sampling(record: Mapping[str, Any] | None) -> str:
-    millimetres = None if record is None else mm_per_px(record)
-    return "" if millimetres is None else f"{millimetres:.3f}"
-
-
-def radiometry_rows(records: BuildRecords, captures: Sequence[Capture]) -> list[RadiometryRow]:
-    """Return the rows of the layers that were built."""
-    rows = []
-    for capture in captures:
-        row = describe_layer(
-            capture.layer,
-            records.notes(key_of(capture, "calibrate")),
-            records.notes(key_of(capture, "resample")),
-        )
-        if row is not None:
-            rows.append(row)
-    return rows
-
-
-def close_ups(places: Places, captures: Sequence[Capture]) -> list[CloseUps]:
+def close_ups(places: Places, captures: Sequence[Capture]) -> list[dict[str, Any]]:
     """Return close-ups of every camera that has several setups, as the paper's Figure 4."""
+    from levkas.database.preview import encode_png
+
     groups = []
     for camera in dict.fromkeys(c.camera for c in captures):
-        mine = [c for c in captures if c.camera == camera]
-        if len(mine) < 2:
+        paths = {
+            c.setup or "default setup": places.layer(c.object, camera, c.setup, kind=".png")
+            for c in captures
+            if c.camera == camera
+        }
+        shown = {setup: _read(path) for setup, path in paths.items() if path.is_file()}
+        if len(shown) < 2 or len({picture.shape for picture in shown.values()}) > 1:
             continue
-        paths = [places.layer(c.object, c.camera, c.setup, kind=".png") for c in mine]
-        shown = [(c, _read(path)) for c, path in zip(mine, paths, strict=True) if path.is_file()]
-        if len(shown) < 2 or len({picture.shape for _, picture in shown}) > 1:
-            continue
-        side, corners = choose_places([picture for _, picture in shown])
-        rows = tuple(
-            CloseUpRow(
-                c.setup or "default setup",
-                tuple(_cut(picture, x, y, side) for x, y in corners),
-            )
-            for c, picture in shown
-        )
-        names = tuple(f"({x + side // 2}, {y + side // 2})" for x, y in corners)
-        groups.append(CloseUps(camera, names, rows))
+        side, corners = choose_places([*shown.values()])
+        cut = {
+            setup: [
+                embed_png(encode_png(np.ascontiguousarray(picture[y : y + side, x : x + side])))
+                for x, y in corners
+            ]
+            for setup, picture in shown.items()
+        }
+        names = [f"({x + side // 2}, {y + side // 2})" for x, y in corners]
+        groups.append({"camera": camera, "places": names, "rows": cut})
     return groups
 
 
@@ -479,12 +429,6 @@ def _read(path: Path) -> np.ndarray:
 
     with Image.open(path) as picture:
         return np.asarray(picture.convert("RGB"))
-
-
-def _cut(picture: np.ndarray, x: int, y: int, side: int) -> str:
-    from levkas.database.preview import encode_png
-
-    return embed_png(encode_png(np.ascontiguousarray(picture[y : y + side, x : x + side])))
 
 
 def provenance_of(

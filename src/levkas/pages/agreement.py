@@ -49,7 +49,9 @@ def describe_agreement(pairs: Sequence[PairAgreement]) -> AgreementSection | Non
     rows = tuple(_row(pair) for pair in pairs)
     odd = [pair for pair in pairs if pair.contradictions and not pair.other_light]
     figures = [figure for figure in (_ratios(pairs),) if figure]
-    figures += [_map(max(mine, key=_size)) for _, mine in _by_layer(odd)][:MOST_MAPS]
+    figures += [
+        _map(max(mine, key=lambda pair: pair.worst.expected_ratio)) for _, mine in _by_layer(odd)
+    ][:MOST_MAPS]
     return AgreementSection(tuple(_short(pairs, odd)), rows, tuple(figures))
 
 
@@ -59,13 +61,10 @@ def _short(
     alike = [pair for pair in pairs if not pair.other_light]
     if not odd and alike:
         most = max(abs(band.ratio - 1) for pair in alike for band in pair.bands)
-        unknown = alike[0].unknown
-        absent = f"The cameras agree within their uncertainties, to {100 * most:.2g} % or better in the {len(alike)} pairs that could be compared"
         yield (
             "ok",
-            f"{absent}."
-            if not unknown
-            else f"{absent}; an error that all share does not show in that.",
+            f"The cameras agree within their uncertainties, to {100 * most:.2g} % or better in the {len(alike)} pairs that could be "
+            f"compared{'; an error that all share does not show in that' if alike[0].unknown else ''}.",
         )
     for name, mine in _by_layer(odd):
         yield "warn", _sentence(name, mine)
@@ -94,10 +93,6 @@ def _difference(pair: PairAgreement) -> float:
     return float(median(abs(np.log(band.ratio)) for band in pair.contradictions))
 
 
-def _size(pair: PairAgreement) -> float:
-    return pair.worst.expected_ratio
-
-
 def _sentence(name: str, pairs: Sequence[PairAgreement]) -> str:
     """Report by how much a layer differs from others, where, and what may be the cause."""
     others = [p.names[p.names[0] == name] for p in pairs]
@@ -115,14 +110,9 @@ def _sentence(name: str, pairs: Sequence[PairAgreement]) -> str:
     unknown = dict.fromkeys(row for pair in pairs for row in pair.unknown)
     absent = f" Not known of them: {', '.join(unknown)}." if unknown else ""
     return (
-        f"{name} differs from {_names(others)} by {apart:+.2g} % in {span}, more than their uncertainties allow "
+        f"{name} differs from {', '.join(dict.fromkeys(others))} by {apart:+.2g} % in {span}, more than their uncertainties allow "
         f"(Eₙ {worst:.2g}): {cause}{absent}"
     )
-
-
-def _names(names: Sequence[str]) -> str:
-    *most, last = dict.fromkeys(names)
-    return f"{', '.join(most)} and {last}" if most else last
 
 
 def _span(bands: Sequence[BandAgreement]) -> str:
@@ -134,18 +124,17 @@ def _span(bands: Sequence[BandAgreement]) -> str:
 
 def _row(pair: PairAgreement) -> AgreementRow:
     ratios = [band.ratio for band in pair.bands]
-    least, most = f"{min(ratios):.3f}", f"{max(ratios):.3f}"
-    odd = pair.contradictions
-    finding = (
-        "agree" if not odd else f"contradict each other in {len(odd)} of {len(pair.bands)} bands"
-    )
-    if odd and pair.other_light:
-        finding = "another lighting"
+    expected = [band.expected_ratio for band in pair.bands]
+    ends = dict.fromkeys(f"{pick(ratios):.3f}" for pick in (min, max))
+    finding, odd = "agree", len(pair.contradictions)
+    if odd:
+        apart = f"contradict each other in {odd} of {len(ratios)} bands"
+        finding = "another lighting" if pair.other_light else apart
     return AgreementRow(
         f"{pair.names[1]} over {pair.names[0]}",
         f"{len(pair.bands)}, {_span(pair.bands)}",
-        least if least == most else f"{least} to {most}",
-        f"{median(band.expected_ratio for band in pair.bands):.2g}, at most {max(band.expected_ratio for band in pair.bands):.2g}",
+        " to ".join(ends),
+        f"{median(expected):.2g}, at most {max(expected):.2g}",
         finding,
     )
 

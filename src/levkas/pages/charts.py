@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.text import counted
 from levkas.pages.page import Figure
 from levkas.pages.plots import Line, picture_with_areas, plot
 from levkas.pages.radiometry import channel_colours
@@ -23,39 +23,27 @@ LONGEST = 640
 MOST_LINES = 33
 
 
-class Swatch(NamedTuple):
-    """A patch as it was measured and as it is published, as colours of CSS."""
-
-    name: str
-    measured: str
-    published: str
-    difference: str
-
-
-@dataclass(frozen=True)
-class ChartSection:
-    """One chart by one camera, ready to be shown."""
-
-    name: str
-    summary: str
-    notes: Sequence[str]
-    pictures: Sequence[Figure]
-    figures: Sequence[Figure]
-    indicators: Sequence[Sequence[str]]
-    columns: Sequence[str]
-    patches: Sequence[Sequence[str]]
-    swatches: Sequence[Swatch] = ()
-    edges: Sequence[Sequence[str]] = ()
-
-
-def describe_chart(measure: ChartMeasure | EdgeTargetMeasure) -> ChartSection:
+def describe_chart(measure: ChartMeasure | EdgeTargetMeasure) -> dict[str, Any]:
     """Return the section of a chart that was measured, or of a target of slanted edges."""
-    rows = measure.rows
-    indicators = [
-        [row.name, f"{row.value:.2f} {row.unit}", row.aim, row.fadgi, row.iso] for row in rows
-    ]
+    tables = measure.edges.tables
+    section: dict[str, Any] = {
+        "name": measure.name,
+        "notes": measure.notes,
+        "indicators": measure.rows,
+        "figures": draw_responses(tables),
+        "edges": tables,
+    }
     if isinstance(measure, EdgeTargetMeasure):
-        return _describe_edges(measure, indicators)
+        names = {
+            s: [t.label for t in tables if t.bands == c.bands] for s, c in measure.cubes.items()
+        }
+        return section | {
+            "summary": counted(len(tables), "slanted edge") + ".",
+            "pictures": [
+                _picture(sensor, cube, _boxes(tables, cube), names[sensor])
+                for sensor, cube in measure.cubes.items()
+            ],
+        }
     agreement = min(s.located.agreement for s in measure.sightings)
     noise = "the difference of two shots" if measure.table.temporal else "the spread in each patch"
     summary = (
@@ -64,46 +52,14 @@ def describe_chart(measure: ChartMeasure | EdgeTargetMeasure) -> ChartSection:
     )
     if measure.colours is not None:
         summary += f" Colours (D65, 2°) {measure.colours.how}."
-    return ChartSection(
-        measure.name,
-        summary,
-        [*_blur_notes(measure), *measure.notes],
-        [_sampled(measured, measure) for measured in measure.sightings],
-        [
-            *(f for f in (_over_signal(measure), _over_wavelength(measure)) if f is not None),
-            *draw_responses(measure.edges.tables),
-        ],
-        indicators,
-        ("mean", "SNR, median band", "dB", "ΔE2000"),
-        _patch_rows(measure),
-        _swatches(measure),
-        _edge_rows(measure.edges.tables),
-    )
-
-
-def _describe_edges(measure: EdgeTargetMeasure, indicators: list[list[str]]) -> ChartSection:
-    """Return the section of slanted edges without a colour chart."""
-    tables = measure.edges.tables
-    count = len(tables)
-    return ChartSection(
-        measure.name,
-        f"{count} slanted edge{'s' * (count != 1)}.",
-        list(measure.notes),
-        [
-            _picture(
-                sensor,
-                cube,
-                _boxes(tables, cube),
-                [t.label for t in tables if t.bands == cube.bands],
-            )
-            for sensor, cube in measure.cubes.items()
-        ],
-        draw_responses(tables),
-        indicators,
-        (),
-        (),
-        edges=_edge_rows(tables),
-    )
+    curves = [f for f in (_over_signal(measure), _over_wavelength(measure)) if f is not None]
+    return section | {
+        "summary": summary,
+        "notes": [*_blur_notes(measure), *measure.notes],
+        "pictures": [_sampled(measured, measure) for measured in measure.sightings],
+        "figures": [*curves, *section["figures"]],
+        "patches": _patch_rows(measure),
+    }
 
 
 def draw_responses(tables: Sequence[EdgeTable]) -> list[Figure]:
@@ -128,49 +84,12 @@ def draw_responses(tables: Sequence[EdgeTable]) -> list[Figure]:
     return figures
 
 
-def _edge_rows(tables: Sequence[EdgeTable]) -> list[list[str]]:
-    """Return a row a band and edge: band, edge, SFR50, SFR10, efficiency, largest modulation, shift."""
-    rows = []
-    for table in tables:
-        for i, band in enumerate(table.bands):
-            if np.isfinite(table.most[i]):
-                sfr10 = f"{table.sfr10[i]:.3f}" if np.isfinite(table.sfr10[i]) else "above 1"
-                numbers = [f"{table.sfr50[i]:.3f}", sfr10, f"{100 * table.efficiency[i]:.0f} %"]
-                ends = [f"{table.most[i]:.2f}", f"{table.shift[i]:+.2f}"]
-                rows.append([band.label, f"{table.label}, {table.axis}", *numbers, *ends])
-    return rows
-
-
 def _boxes(tables: Sequence[EdgeTable], cube: Cube) -> np.ndarray:
     """Return the rectangles of the edges in one sensor's cube, (n, 4, 2) px."""
     boxes = np.array([t.box for t in tables if t.bands == cube.bands], float)
     low, size = boxes.reshape(-1, 4)[:, :2], boxes.reshape(-1, 4)[:, 2:]
     turns = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     return low[:, None] - 0.5 + turns * size[:, None]
-
-
-def _swatches(measure: ChartMeasure) -> list[Swatch]:
-    """Return the patches beside the published ones, sRGB; none where colours were not compared."""
-    if measure.colours is None:
-        return []
-    measured, wanted = (
-        css_colours(lab) for lab in (measure.colours.measured, measure.colours.wanted)
-    )
-    differences = [f"{value:.1f}" for value in measure.colours.difference]
-    rows = zip(measure.chart.patches, measured, wanted, differences, strict=True)
-    return [Swatch(*row) for row in rows]
-
-
-def css_colours(lab: np.ndarray) -> list[str]:
-    """Return CIELAB (D65), (n, 3), as colours of CSS; what sRGB cannot show is cut to what it can.
-
-    >>> css_colours(np.array([[100.0, 0.0, 0.0], [0.0, 0.0, 0.0], [53.24, 80.09, 67.2]]))
-    ['#ffffff', '#000000', '#ff0000']
-    """
-    from skimage.color import lab2rgb
-
-    rgb = np.round(255 * np.clip(lab2rgb(np.asarray(lab, float)[None])[0], 0, 1)).astype(int)
-    return [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in rgb.tolist()]
 
 
 def _blur_notes(measure: ChartMeasure) -> list[str]:
@@ -226,7 +145,7 @@ def _over_signal(measure: ChartMeasure) -> Figure | None:
     order = np.argsort(middle)[:: max(1, len(greys) // 6)]
     marks = [(float(middle[i]), f"{luminance[i]:.0f}") for i in order if middle[i] > 0]
     svg = plot(
-        lines, x="signal of the channel", y="SNR, dB (10·log10)", log="x",
+        lines, x="signal of the channel", y="SNR, dB (10·log10)", log_x=True,
         top_axis=("luminance Y, %", marks),
     )  # fmt: skip
     caption = (

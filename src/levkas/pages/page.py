@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files as resources
 from typing import TYPE_CHECKING, Any
@@ -79,10 +79,6 @@ class LayerReport:
     ssim_map: str = ""
     recorded: str = ""
     """Of a layer that was refused: its picture as it was recorded, as data address."""
-    columns: Sequence[str] = ()
-    rows: Sequence[Sequence[str]] = ()
-    apart_px: float = 0.0
-    """How far the bands of the camera lie from its reference channel at the centre, at most."""
     budget: Any = None
 
     @property
@@ -95,44 +91,6 @@ class LayerReport:
     def anchor(self) -> str:
         """A name that is safe in a link."""
         return "layer-" + "".join(c if c.isalnum() else "-" for c in self.name)
-
-
-@dataclass(frozen=True)
-class CloseUpRow:
-    """One setup's close-ups, as data addresses."""
-
-    name: str
-    pictures: Sequence[str]
-
-
-@dataclass(frozen=True)
-class CloseUps:
-    """Close-ups of one camera under all its setups."""
-
-    camera: str
-    places: Sequence[str]
-    rows: Sequence[CloseUpRow]
-
-
-@dataclass(frozen=True)
-class ObjectReport:
-    """Everything on the page of one object."""
-
-    title: str
-    facts: Sequence[str]
-    reference: str
-    layers: Sequence[LayerReport]
-    problems: Sequence[dict[str, str]] = ()
-    mm_per_px: str = ""
-    footer: str = ""
-    views: Sequence[dict[str, str]] = field(default=())
-    radiometry: Sequence[Any] = ()
-    setups: Sequence[CloseUps] = ()
-    agreement: Any = None
-    short: Sequence[tuple[str, str]] = ()
-    links: Sequence[tuple[str, str]] = ()
-    viewer: str = ""
-    """Address of the object in the viewer; the link is hidden until the database is published."""
 
 
 def render_page(template: str, /, *, package: str = "levkas.pages", **values: Any) -> str:

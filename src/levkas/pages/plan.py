@@ -60,7 +60,6 @@ def report_facts(
 ) -> dict[str, Any]:
     """Return everything on the page: words, numbers and drawings."""
     plan = plan_light(setup, name)
-    others = compare_lightings(setup)
     best = optimise(setup, plan.lighting)
     thing = setup.object
     facts: dict[str, Any] = {
@@ -72,10 +71,9 @@ def report_facts(
         "short": _in_short(setup, plan),
         "lamps": [_lamp_row(lamp) for lamp in plan.lighting.lamps],
         "bench": draw_bench(setup, plan),
-        "fields": _fields(plan),
         "evenness": draw_evenness(plan),
         "glare": draw_glare(plan),
-        "compared": [_compared(p) for p in others],
+        "compared": compare_lightings(setup),
         "best": best,
         "best_words": f"These lamps at {best.angle_deg:.0f}° from the normal, their distances and aims as they are.",
         "criteria": [
@@ -186,42 +184,6 @@ def _aimed(target: np.ndarray) -> str:
     if np.hypot(target[0], target[1]) < 0.5:
         return "the middle"
     return f"{_side(target[0], 'right', 'left')}, {_side(target[1], 'below', 'above')}"
-
-
-def _fields(plan: LightPlan) -> list[str]:
-    lines = []
-    for name, field in plan.fields.items():
-        words = f"Along the {name}, the panel would mirror what stands within {field.mirror[1]:.0f}° of its normal"
-        wider = field.facets[1] > field.mirror[1] + 0.5
-        words += (
-            f"; varnish and leaf facets widen this to {field.facets[1]:.0f}°." if wider else "."
-        )
-        if field.walls is not None:
-            words += (
-                f" The walls of the recess mirror what stands at {field.walls[0]:.0f}–"
-                f"{min(field.walls[1], 90):.0f}°: expect a thin bright line there."
-            )
-        if np.isfinite(field.margin):
-            words += (
-                f" The nearest lamp stays {field.margin:.0f}° outside."
-                if field.margin >= 0
-                else f" A lamp stands {-field.margin:.0f}° inside it."
-            )
-        lines.append(words)
-    return lines
-
-
-def _compared(plan: LightPlan) -> dict[str, str]:
-    return {
-        "name": plan.lighting.name,
-        "title": plan.lighting.title,
-        "lux": f"{plan.mean:.0f}" if plan.absolute else "–",
-        "drop": f"{100 * plan.drop:.0f} %",
-        "varnish": f"{100 * plan.varnish:.2g} %" if plan.varnish else "–",
-        "gold": f"{100 * plan.gold:.2g} %" if plan.gold else "–",
-        "spread": f"{plan.gold_spread:.1f}" if plan.gold else "–",
-        "texture": f"{100 * plan.texture_varnished:.1f} %",
-    }
 
 
 def _spectra(plan: LightPlan) -> str:

@@ -130,7 +130,7 @@ def draw_evenness(plan: LightPlan) -> str:
 
 
 @in_style
-def draw_glare(plan: LightPlan, *, most: dict[str, float] | None = None) -> str:
+def draw_glare(plan: LightPlan) -> str:
     """Return maps of varnish and gold, in per cent of white, on one scale each."""
     maps = [(n, getattr(plan.glare, n)) for n in ("varnish", "gold")]
     maps = [(n, 100 * m) for n, m in maps if m is not None]
@@ -141,8 +141,7 @@ def draw_glare(plan: LightPlan, *, most: dict[str, float] | None = None) -> str:
     for axes, (name, values) in zip(
         figure.subplots(1, len(maps), squeeze=False)[0], maps, strict=True
     ):
-        high = float(values.max()) if most is None else 100 * most[name]
-        shown = axes.imshow(values, cmap="inferno", vmin=0, vmax=max(high, 1e-9))
+        shown = axes.imshow(values, cmap="inferno", vmin=0, vmax=max(float(values.max()), 1e-9))
         axes.set(title=f"{name}, % of white", xticks=[], yticks=[])
         figure.colorbar(shown, ax=axes, orientation="horizontal", fraction=0.06, pad=0.04)
     return to_svg(figure, f"glare maps of {plan.lighting.name}")

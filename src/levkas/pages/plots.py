@@ -29,7 +29,7 @@ WIDTH, HEIGHT = 560, 300
 """Of a plot, in units of its view box."""
 THEME = (
     *("currentColor", "ink", "soft", "line", "card", "ok", "warn", "bad", "ref", "tgt", "fit"),
-    *("lamp", "bright", "wall", "a", "b", "c", "d", "c1", "c2", "c3", "c4", "c5", "c6"),
+    *("lamp", "bright", "wall", "c1", "c2", "c3", "c4", "c5", "c6"),
 )
 """Colours of pages: custom properties of CSS, and the colour of the text around."""
 MOST_MARKS = 60
@@ -139,8 +139,6 @@ class Line:
     colour : str
         ``#rrggbb``, or a name of `THEME`.
     dashed : bool
-    joined : bool
-        False draws the points alone.
     """
 
     label: str
@@ -148,7 +146,6 @@ class Line:
     y: Sequence[float | None] | np.ndarray
     colour: str = "ref"
     dashed: bool = False
-    joined: bool = True
 
 
 @in_style
@@ -157,11 +154,9 @@ def plot(
     *,
     x: str,
     y: str,
-    log: str = "",
+    log_x: bool = False,
     top_axis: tuple[str, Sequence[tuple[float, str]]] | None = None,
     from_zero: bool = False,
-    legend: bool = True,
-    names: Sequence[str] = (),
 ) -> str:
     """Return lines as SVG, "" where there is nothing to draw.
 
@@ -170,33 +165,27 @@ def plot(
     lines : sequence of Line
     x, y : str
         Titles of the axes.
-    log : {"", "x", "y"}
-        The logarithmic axis; points at or below 0 on it are left out.
+    log_x : bool
+        Whether x is logarithmic; points at or below 0 are left out then.
     top_axis : (title, [(x, label), …]), optional
         A second axis above.
     from_zero : bool
         y starts at 0.
-    names : sequence of str
-        Of x = 1, 2, …, where it counts things and measures nothing.
     """
-    drawn = [(line, *_sound(line, log)) for line in lines]
+    drawn = [(line, *_sound(line, log_x)) for line in lines]
     if not any(len(xs) for _, xs, _ in drawn):
         return ""
-    figure = new_figure(max(WIDTH, 46 * len(names)))
+    figure = new_figure()
     axes = figure.subplots()
-    draw_lines(axes, drawn)
-    axes.set(
-        xlabel=x,
-        ylabel=y,
-        xscale="log" if log == "x" else "linear",
-        yscale="log" if log == "y" else "linear",
-    )
-    for axis, logarithmic in ((axes.xaxis, log == "x"), (axes.yaxis, log == "y")):
-        if logarithmic:
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter("")
-    if names:
-        axes.set_xticks(range(1, len(names) + 1), names, rotation=30, ha="right")
+    for line, xs, ys in drawn:
+        axes.plot(
+            xs, ys, label=line.label, color=_PLACES.get(line.colour, line.colour),
+            linestyle="--" if line.dashed else "-", marker="o" if len(xs) <= MOST_MARKS else "", markersize=3,
+        )  # fmt: skip
+    axes.set(xlabel=x, ylabel=y, xscale="log" if log_x else "linear")
+    if log_x:
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("")
     if from_zero:
         axes.set_ylim(bottom=0)
     if top_axis is not None:
@@ -205,19 +194,9 @@ def plot(
         above.set_xticks([at for at, _ in marks], [text for _, text in marks], minor=False)
         above.set_xticks([], minor=True)
         above.set_xlabel(title)
-    if legend and len(lines) > 1:
+    if len(lines) > 1:
         draw_legend(axes)
     return to_svg(figure, f"{y} over {x}" if x else y)
-
-
-def draw_lines(axes: Axes, drawn: Sequence[tuple[Line, np.ndarray, np.ndarray]]) -> None:
-    """Draw lines into axes, and marks where the points are few."""
-    for line, xs, ys in drawn:
-        axes.plot(
-            xs, ys, label=line.label, color=_PLACES.get(line.colour.removeprefix("var(--").rstrip(")"), line.colour),
-            linestyle=("--" if line.dashed else "-") if line.joined else "none",
-            marker="o" if len(xs) <= MOST_MARKS else "", markersize=3 if line.joined else 4.5,
-        )  # fmt: skip
 
 
 def draw_legend(axes: Axes) -> None:
@@ -237,13 +216,9 @@ def draw_legend(axes: Axes) -> None:
     figure.legend([handles[i] for i in chosen], [names[i] for i in chosen], **place)
 
 
-def _sound(line: Line, log: str) -> tuple[np.ndarray, np.ndarray]:
-    x, y = (
-        np.array([np.nan if v is None else v for v in values], float) for values in (line.x, line.y)
-    )
-    good = np.isfinite(x) & np.isfinite(y)
-    good &= (x > 0) | (log != "x")
-    good &= (y > 0) | (log != "y")
+def _sound(line: Line, log_x: bool) -> tuple[np.ndarray, np.ndarray]:
+    x, y = (np.array(values, float) for values in (line.x, line.y))  # None is NaN
+    good = np.isfinite(x) & np.isfinite(y) & ((x > 0) | (not log_x))
     return x[good], y[good]
 
 

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from levkas.pages.page import LayerReport
     from levkas.pages.radiometry import RadiometryRow
 
-LEAST_SHIFT = 0.005
-"""Shift of a band, px, that is worth a word."""
 GLARE = 0.01
 """Share of the object's pixels above which glare is to be minded."""
 
@@ -102,9 +100,7 @@ def _own_bands(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterat
             text += f", checked over {percent(one.checked)} of the layer" if one.checked else ""
             yield "ok", f"{text}."
         elif one.decision == "reference" and len(layers) == 1:
-            bands = f" Its bands, up to {one.apart_px:.2f} px apart at the centre, are registered to one another."
-            bands = bands if one.apart_px >= LEAST_SHIFT else ""
-            yield "ok", f"{one.name} is the only camera: nothing else is registered to it.{bands}"
+            yield "ok", f"{one.name} is the only camera: nothing else is registered to it."
 
 
 def _glare(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:

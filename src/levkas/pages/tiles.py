@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ def draw_tiles(record: Mapping[str, Any], seams: Sequence[Mapping[str, Any]]) ->
     if not placed:
         return []
     outlines = {name: _outline(one) for name, one in placed.items()}
-    caption = " ".join([*_describe_tiles(record), *_describe_seams(seams)])
+    caption = " ".join(_describe(record, seams))
     return [Figure(_draw(outlines, record, seams), caption)]
 
 
@@ -47,40 +47,21 @@ def _outline(one: Mapping[str, Any]) -> np.ndarray:
     return np.asarray(from_dict(band["transform"]).inverse(corners))
 
 
-def _describe_tiles(record: Mapping[str, Any]) -> list[str]:
-    tiles = record["tiles"]
-    placed = [one for one in tiles.values() if one.get("bands")]
-    sigma = [one["sigma_px"] for one in placed]
-    texts = [
-        f"Left: {counted(len(placed), 'tile')} of {len(tiles)} in reference pixels; a number is how well a tile lies on what is "
-        f"beside or beneath it, in hundredths of a pixel (one sigma, at most {100 * max(sigma):.1f})."
-    ]
-    placement = record.get("placement") or {}
-    used = [one for one in placement.get("overlaps", ()) if one["used"]]
-    if used:
-        worst = max(used, key=lambda one: one["off"])
-        texts.append(
-            f"Lines are the {counted(len(used), 'overlap')} that place them; after the adjustment {' and '.join(worst['tiles'])} are "
-            f"the farthest apart, by {worst['off']:.3f} px."
-        )
-    return texts
-
-
-def _describe_seams(seams: Sequence[Mapping[str, Any]]) -> list[str]:
+def _describe(record: Mapping[str, Any], seams: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    placed = [one for one in record["tiles"].values() if one.get("bands")]
+    yield (
+        f"Left: {counted(len(placed), 'tile')} of {len(record['tiles'])} in reference pixels; a number is how well a tile lies on what "
+        f"is beside or beneath it, in hundredths of a pixel (one sigma). Lines are the overlaps that place them."
+    )
     known = [one for one in seams if one["within"] is not None]
     if not known:
-        return []
-    pixels = sum(one["pixels"] for one in known)
-    share = sum(one["within"] * one["pixels"] for one in known) / pixels
-    texts = [
-        f"Right: {counted(len(known), 'seam')}; tiles differ there by less than two sigma at {100 * share:.1f} % of the pixels."
-    ]
-    steps = [(abs(mean_step(one)), one) for one in known]
-    step, worst = max(steps, key=lambda pair: pair[0])
-    names = " and ".join(worst["tiles"])
-    text = f"The largest step is that of {names}: {100 * step:.1f} % of the value in the mean over the bands"
-    shows = " It may show: light or flat field differ there." if step > MOST_STEP else ""
-    return [*texts, f"{text}.{shows}"]
+        return
+    share = np.average([one["within"] for one in known], weights=[one["pixels"] for one in known])
+    worst = max(known, key=lambda one: abs(mean_step(one)))
+    yield (
+        f"Right: {counted(len(known), 'seam')}; tiles differ there by less than two sigma at {100 * share:.1f} % of the pixels. The largest "
+        f"step is that of {' and '.join(worst['tiles'])}: {100 * abs(mean_step(worst)):.1f} % of the value in the mean over the bands."
+    )
 
 
 @in_style

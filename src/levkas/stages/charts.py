@@ -511,17 +511,18 @@ class ChartReport:
     def page(self, title: str) -> str:
         """Return a report page as HTML."""
         from levkas import __version__
-        from levkas.pages.camera import CameraReport, render_camera
         from levkas.pages.charts import describe_chart
+        from levkas.pages.page import render_page
 
-        return render_camera(
-            CameraReport(
-                title=title,
-                subtitle="Charts: signal, noise and colour",
-                charts=[describe_chart(m) for m in self.measures],
-                problems=[{"code": p.code, "text": str(p)} for p in self.problems],
-                footer=f"Levkas {__version__}. Coordinates are in native pixels.",
-            )
+        return render_page(
+            "camera.html",
+            page={
+                "title": title,
+                "subtitle": "Charts: signal, noise and colour",
+                "charts": [describe_chart(m) for m in self.measures],
+                "problems": [{"code": p.code, "text": str(p)} for p in self.problems],
+                "footer": f"Levkas {__version__}. Coordinates are in native pixels.",
+            },
         )
 
 
