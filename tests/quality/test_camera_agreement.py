@@ -54,7 +54,7 @@ def test_a_wrong_white_is_named_in_every_pair_and_one_within_its_certificate_is_
     assert len(pairs) == 6 and len(odd) == 3
     assert all("odd" in (pair.first.name, pair.second.name) for pair in odd)
     ((mark, reported),) = describe_agreement(pairs).short
-    assert mark == "warn" and reported.startswith("odd differs from a, b and c by +11 %")
+    assert mark == "warn" and reported.startswith("odd ") and "+11 %" in reported
     assert "white, lamp or angle" in reported
     sure = relative("white", 0.06, NIR + 10)
     doubtful = layer("odd", NIR + 10, factor=1 / 0.9, seed=3, sources=[sure])
