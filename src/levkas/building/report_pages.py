@@ -139,7 +139,9 @@ def report_of(
     """Return the HTML of an object's report; `pairs` are how its layers agree, `sampling` is in mm a pixel."""
     name = captures[0].object
     facts = campaign.objects.get(name)
-    lines = [facts.creator, facts.date, facts.medium, facts.owner, facts.inventory] if facts else []
+    lines: list[str | None] = (
+        [facts.creator, facts.date, facts.medium, facts.owner, facts.inventory] if facts else []
+    )
     described = campaign.campaign
     lines += [described.title, described.date, facts.rights if facts else "", described.licence]
     own = {layer.name for layer in layers if layer.decision == "refuse"}  # in its own section
