@@ -5,24 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from levkas.core.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube
 from levkas.stages.above_white import count_above, describe_above
 
 BANDS = tuple(Band(label) for label in "RGB")
 
 
-def cube_of(values, flags=0):
-    flags = np.broadcast_to(np.uint8(flags), values.shape).copy()
+def cube_of(values):
+    flags = np.zeros(values.shape, np.uint8)
     sigma = np.full(values.shape, 0.001, np.float32)
     return Cube(values.astype(np.float32), flags, sigma, BANDS[: values.shape[2]])
-
-
-@pytest.mark.parametrize(("share", "named"), [(1.0, True), (0.1, False)])
-def test_an_object_of_several_times_its_white_is_named_and_gold_on_a_tenth_is_not(share, named):
-    values = np.full((20, 20, 3), 0.4)
-    values[: round(20 * share)] = 2.5
-    cube = cube_of(values, np.where(values > 1, Flag.GLARE, 0))
-    assert len(describe_above(count_above(cube), cube.labels)) == named
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,10 @@
 """The budget of a capture: what is measured, declared and not known, and what is read of it from regions."""
 
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from cameras import KINDS, RGGB, developed, text, write
 
 import levkas
 from levkas.building import status
@@ -17,10 +16,6 @@ from levkas.core.problems import Refused
 from levkas.stages.capture_statistics import DARK_FRAMES, PHOTONS, WHITE_FRAMES
 from levkas.stages.spectra import read_certificate
 
-sys.path.insert(0, str(Path(__file__).parent))
-from cameras import KINDS, RGGB, developed, text, write
-
-UNKNOWN = {"white board", "linearity", "stray light", "wavelength", "angle of the light"}
 UNCERTAINTY = (
     "[cameras.cam.uncertainty]\nwavelength_nm = 1.0\nlinearity = 0.005\nstray_light = 0.002\n"
 )
@@ -88,10 +83,7 @@ def test_counts_have_a_budget_of_what_needs_no_white(tmp_path):
     assert {row.unit for row in rows.values()} <= {"counts", "relative", "nm"}
     known = {name for name, row in rows.items() if row.size}
     assert known == {PHOTONS, DARK_FRAMES, "code spacing", "black level"}
-
-
-def test_darks_that_are_clipped_do_not_say_that_the_black_level_is_steady(tmp_path):
-    assert not developed(write(tmp_path / "c", black=0.0)).budget["black level"].size
+    assert not developed(write(tmp_path / "d", black=0.0)).budget["black level"].size  # clipped
 
 
 @pytest.mark.parametrize(
@@ -99,9 +91,6 @@ def test_darks_that_are_clipped_do_not_say_that_the_black_level_is_steady(tmp_pa
     [
         ("[cameras.cam.uncertainty]\nwavelength_nm = -1\n", "cameras.cam.uncertainty.wavelength_nm"),
         ("[cameras.cam.uncertainty]\nlinearity = 5\n", "cameras.cam.uncertainty.linearity"),
-        ("[cameras.cam.uncertainty]\nlinearity = nan\n", "cameras.cam.uncertainty.linearity"),
-        ('[cameras.cam.uncertainty]\nlinearity = "1 %"\n', "cameras.cam.uncertainty.linearity"),
-        ("[cameras.cam.uncertainty]\nstray_light = [0.1]\n", "cameras.cam.uncertainty.stray_light"),
         ("[cameras.cam.uncertainty]\nflat = 0.1\n", "cameras.cam.uncertainty.flat"),
         ("[setups.default]\nangle_deg = 120\n", "setups.default.angle_deg"),
         ("[setups.default]\nangle_uncertainty_deg = 2\n", "setups.default.angle_deg"),
@@ -199,8 +188,6 @@ def test_a_budget_of_another_version_is_refused_and_one_that_is_gone_is_not_know
     for older in (
         lambda step: step.pop("uncertainty"),
         lambda step: [row.pop("all_bands") for row in step["uncertainty"]],
-        lambda step: step.update(uncertainty={"rows": []}),
-        lambda step: [row.update(size={"500 nm": "x"}) for row in step["uncertainty"]],
         lambda step: [row.update(unit="percent") for row in step["uncertainty"]],
     ):
         record = json.loads(whole)

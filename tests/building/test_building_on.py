@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+import toy
 from typer.testing import CliRunner
 
 from levkas.building import build, status, summarise
@@ -21,6 +22,7 @@ from levkas.cli import app
 from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
 from levkas.database.catalogue import COLUMNS, read_catalogue
+from levkas.database.pixel_frames import map_points
 from levkas.database.validation import validate
 from levkas.publish.run import check, publish
 
@@ -153,6 +155,39 @@ def test_facts_are_written_anew_and_no_pixel_is_computed(campaign):
     assert validate(database).ok and all(s.state == "fresh" for s in status(campaign).stages)
 
 
+@pytest.mark.parametrize("region", ["[500, 500, 50, 50]", "[-100, -100, 20, 20]", "[0, 0, 1e9, 9]"])
+def test_a_region_off_the_frame_is_refused(campaign, region):
+    adds(f"[grid]\nregion = {region}\n")(campaign)
+    (problem,) = {p for p in summarise(build(campaign)).problems if p.field == "grid.region"}
+    assert problem.file == str(campaign / "campaign.toml")
+    assert "240 x 200" in problem.expected
+
+
+@pytest.mark.slow
+def test_points_are_mapped_by_the_grid_that_was_built(campaign):
+    points = np.array([[20.0, 30.0], [100.0, 100.0]])
+    place = {"source": "grid", "target": "photo"}
+    adds("[grid]\nregion = [10, 12, 200, 150]\n")(campaign)
+    before = map_points(campaign / "database", "one", points, **place)  # nothing was built yet
+    assert np.allclose(before, points, atol=1e-6)
+    assert summarise(build(campaign)).ok
+    after = map_points(campaign / "database", "one", points, **place)
+    assert np.allclose(after, points + np.array([10, 12]), atol=1e-6)
+
+
+def test_a_threshold_of_another_method_is_said_once_by_build_and_status(tmp_path, toys):
+    folder = toy.make(tmp_path / "campaign", ("one",), ("photo", "xray"))
+    plain = status(folder).warnings
+    adds("[registration]\nstop = 0.8\n[cameras.xray.registration]\nreject = 40.0\n")(folder)
+    found = [warning for warning in status(folder).warnings if warning not in plain]
+    fields = ("cameras.xray.registration.reject", "registration.stop")
+    assert [field in warning for field, warning in zip(fields, sorted(found), strict=True)] == [
+        True
+    ] * 2
+    report = summarise(build(folder))
+    assert report.ok and all(report.warnings.count(text) == 1 for text in found)
+
+
 def test_a_damaged_layer_is_built_again_and_not_described(campaign):
     path = campaign / "database/objects/one/one_colour.tif"
     before, data, stat = hash_tree(campaign / "database"), bytearray(path.read_bytes()), path.stat()
@@ -208,17 +243,14 @@ def test_status_and_build_count_the_same_stages_and_build_says_where(built):
 def test_the_database_has_the_files_of_the_contract(built):
     folder = built / "database/objects/one"
     names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-    stems = [f"one_{name}{ending}" for name in ("photo", "colour", "filters_raking")
-             for ending in (".tif", ".flags.tif", ".png")]  # fmt: skip
-    records = ["registration/colour.json", "registration/colour.matches.csv"]
-    assert {
-        *stems,
-        *records,
+    wanted = [f"one_{name}{ending}" for name in ("photo", "colour", "filters_raking")
+              for ending in (".tif", ".flags.tif", ".png")]  # fmt: skip
+    wanted += [
+        "registration/colour.json",
+        "registration/colour.matches.csv",
         "one_colour.sigma.tif",
-        "report.html",
-        "object.toml",
-        "provenance.json",
-    } <= names
+    ]
+    assert {*wanted, "report.html", "object.toml", "provenance.json"} <= names
     record = json.loads((folder / "registration/colour.json").read_text())
     parts = {"method", "reference", "target", "verdict", "model", "bands", "errors", "trace"}
     assert parts <= record.keys()

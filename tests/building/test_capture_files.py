@@ -1,18 +1,13 @@
 """What files and tables beside them say of a capture: exposures, levels of black, whites of one object, a white's spectrum."""
 
 import json
+import re
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
-from PIL import Image
-from PIL.TiffImagePlugin import IFDRational
-from typer.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).parent))
 from cameras import (
     BLACK,
     LIGHT,
@@ -24,17 +19,22 @@ from cameras import (
     frames,
     key,
     read_scan,
+    referenced,
     text,
     tones,
     write,
     write_scan,
 )
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+from typer.testing import CliRunner
 
 from levkas.building import build, summarise
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.cli import app
+from levkas.stages import native_cubes
 
-TONES, INNER = tones(SHAPE)
+TONES = tones(SHAPE)[0]
 KNOWN_BLACK = f"bits = 12\nblack = {BLACK:g}\n"
 Y, X = np.indices(SHAPE)
 
@@ -281,3 +281,32 @@ def test_templates_are_shared_by_objects_that_agree_and_compared_with_every_one(
         if s.key.stage == "calibrate"
     }
     assert ends == {"panel": ("done", set()), "other": ("refused", {"E_FACTS"})}
+
+
+def test_what_does_not_fit_in_memory_is_refused_and_the_other_camera_goes_on(tmp_path, monkeypatch):
+    folder = write(tmp_path / "c", "cube", referenced)
+    needed = native_cubes.CUBE_BYTES * 3 * SHAPE[0] * SHAPE[1]
+    for free, state in ((needed - 1.0, "refused"), (needed + 0.0, "done")):
+        monkeypatch.setattr(native_cubes, "memory_bound", lambda free=free: free)
+        ended = {(s.key.camera, s.key.stage): s for s in summarise(build(folder)).stages}
+        assert ended["cam", "calibrate"].state == state
+        assert ended["photo", "calibrate"].state in ("done", "fresh")
+        assert [p.code for p in ended["cam", "calibrate"].problems] == ["E_MEMORY"][
+            : state == "refused"
+        ]
+
+
+def test_noise_that_a_report_tells_of_a_mosaic_is_that_of_its_sensels(tmp_path):
+    """The scene differs from sensel to sensel: interpolation knows nothing of it."""
+    r, gain, read = np.array([0.3, 0.7]), 0.25, 2.5
+    scene = np.random.default_rng(3).choice(r, SHAPE)
+    folder = write(tmp_path / "c", "mosaic", truth=scene, shots=(4, 4, 1))
+    assert summarise(build(folder)).ok
+    page = (folder / "database/objects/panel/report.html").read_text()
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", page[page.index("Median SNR") :], re.DOTALL)
+    noise_told, snr_told = (float(cell.split()[0]) for cell in cells[1:3])
+    # One shot over the mean of four whites: u² = (v + r² v_white/4) / light², half of the sensels at each.
+    variance = gain * LIGHT * r + read**2 + r**2 * (gain * LIGHT + read**2) / 4
+    noise = np.sqrt(variance) / LIGHT
+    assert noise[0] * 0.95 < noise_told < noise[1] * 1.05
+    assert (r / noise)[0] * 0.95 < snr_told < (r / noise)[1] * 1.05

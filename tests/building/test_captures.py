@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, shift
-
-sys.path.insert(0, str(Path(__file__).parent))
 from cameras import (
     BLACK,
     KINDS,
@@ -30,11 +26,12 @@ from cameras import (
     tones,
     write,
 )
+from scipy.ndimage import gaussian_filter, shift
 
 from levkas.core.cube import Flag
 
 Check = Callable[[Made, str], object]
-TONES, INNER = tones(SHAPE)
+TONES = tones(SHAPE)[0]
 Y, X = np.indices(SHAPE)
 
 
@@ -141,7 +138,6 @@ class Row(NamedTuple):
 
 ALL = " ".join(KINDS)
 LAMP = "lamp between white and object"
-STRIP = X < 40
 GOLD = (Y >= 20) & (Y < 60) & (X >= 40) & (X < 80)
 GILT = np.where(GOLD, 1.275, 0.9 * TONES)
 SPOT = (slice(20, 36), slice(20, 36))
@@ -175,7 +171,6 @@ UNLIKE = {
     "exposure": 1.26 * panel(1),
 }
 SECOND = "panel*_1.tif"
-DARKER = 0.004 + 0.3 * TONES
 
 
 def without_times(folder: Path) -> None:

@@ -2,17 +2,13 @@
 
 import json
 import re
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from cameras import developed, reshot, text, tones, write
 from PIL import Image
 from scipy.special import ndtr
 from typer.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).parent))
-from cameras import developed, reshot, text, tones, write
 
 from levkas.building import build, status, summarise
 from levkas.cli import app
@@ -116,28 +112,6 @@ def test_a_chart_is_measured_in_a_finished_photograph(tmp_path, encoded, suffix)
     assert chart["patches"][23]["limited_by_quantisation"] == [not encoded] * 3
 
 
-def test_nothing_is_printed_on_the_output_where_nothing_was_measured(tmp_path):
-    Image.fromarray(np.full((200, 300, 3), 90, np.uint8)).save(tmp_path / "blank.png")
-    result = CliRunner().invoke(app, ["chart", str(tmp_path / "blank.png")])
-    assert result.exit_code == 1 and result.stdout == "" and "E_CHART_MISSING" in result.stderr
-
-
-@pytest.mark.slow
-def test_a_campaign_of_a_chart_that_is_an_object_too_is_built(tmp_path):
-    (tmp_path / "macbeth").mkdir()
-    Image.fromarray(photograph()).save(tmp_path / "macbeth/photo.png")
-    (tmp_path / "campaign.toml").write_text(
-        '[campaign]\nreference = { camera = "photo", band = "G" }\n'
-        '[cameras.photo]\nkind = "image"\nfiles = "{target}/photo.png"\n'
-        '[targets]\ncharts = { macbeth = "macbeth" }\nobjects = ["macbeth"]\n'
-    )
-    assert summarise(build(tmp_path)).ok
-    places = corners("75,65,275,65,275,185,75,185")
-    layer = measure_charts(tmp_path / "database", objects=["macbeth"], corners=places)
-    assert [m.name for m in layer.measures] == ["macbeth/photo"] and layer.ok
-    assert layer.measures[0].colours.difference.mean() < 1  # decoded, as the photograph itself
-
-
 # --- edges --------------------------------------------------------------------------------------
 
 EDGES = 'charts = { sfr = "edges" }\nedges = { sfr = { cam = [[45, 90, 60, 85], [130, 60, 100, 50]] } }\n'
@@ -173,21 +147,6 @@ def test_edges_that_a_campaign_names_are_measured(tmp_path):
     record = json.loads(result.stdout)["charts"][0]
     assert result.exit_code == 0 and record["chart"] == "edges"
     assert record["edges"][0]["bands"][0]["sampling_efficiency"] > 0.5
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("{ cam = ", "{ nir = "),
-        ("edges = { sfr", "edges = { square"),
-        ("[[45, 90, 60, 85]", "[[45, 90, 60]"),
-        ("{ cam = ", '{ "cam@soft" = '),
-    ],
-)
-def test_edges_that_are_declared_wrongly_are_refused(tmp_path, old, new):
-    folder = write(tmp_path / "c", "bands", text("[targets]\n", "[targets]\n" + EDGES))
-    text(old, new)(folder)
-    assert developed(folder).problems[0].field.startswith("targets.edges")
 
 
 @pytest.mark.parametrize(
@@ -258,16 +217,20 @@ def test_greys_of_a_chart_give_the_budget_its_stray_light_and_rebuild_the_report
     assert summarise(build(folder)).ok and row_of(folder)["basis"] == "unknown"
 
 
+DECLARED = text("[targets]\n", "[targets]\n" + EDGES)
+
+
 @pytest.mark.parametrize(
-    ("kind", "old", "new", "field"),
+    ("declared", "old", "new", "field"),
     [
-        ("bands", "{ panel = { cam", "{ panel = { other", "targets.traps.panel"),
-        ("bands", "{ panel = { cam", "{ flare = { cam", "targets.traps.flare"),
-        ("bands", "[82, 62, 36, 36]", "[82, 62, 36]", "targets.traps.panel.cam"),
-        ("bands", "[82, 62, 36, 36]", "[182, 62, 36, 36]", "targets.traps.panel"),
-        ("cube", "bits = 12", "bits = 12", "targets.traps.panel"),
+        (DECLARED, "{ cam = ", "{ nir = ", "targets.edges"),
+        (DECLARED, "edges = { sfr", "edges = { square", "targets.edges"),
+        (DECLARED, "[[45, 90, 60, 85]", "[[45, 90, 60]", "targets.edges"),
+        (TRAPS, "{ panel = { cam", "{ panel = { other", "targets.traps.panel"),
+        (TRAPS, "{ panel = { cam", "{ flare = { cam", "targets.traps.flare"),
+        (TRAPS, "[82, 62, 36, 36]", "[182, 62, 36, 36]", "targets.traps.panel"),
     ],
 )
-def test_traps_that_are_declared_wrongly_are_refused(tmp_path, kind, old, new, field):
-    made = developed(write(tmp_path / "c", kind, TRAPS, text(old, new), **QUIET))
-    assert field in [problem.field for problem in made.problems]
+def test_edges_and_traps_that_are_declared_wrongly_are_refused(tmp_path, declared, old, new, field):
+    problems = developed(write(tmp_path / "c", "bands", declared, text(old, new), **QUIET)).problems
+    assert any(problem.field.startswith(field) for problem in problems)

@@ -5,21 +5,16 @@ import json
 import os
 import shutil
 import sqlite3
-import sys
-import time
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+import toy
 
 from levkas.building import build, status, summarise
-from levkas.building.claiming import in_turn
 from levkas.building.records_file import NAME
 from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
-
-sys.path.insert(0, str(Path(__file__).parent))
-import toy
 
 CAMERAS = ("photo", "xray")
 
@@ -186,10 +181,3 @@ def test_a_record_that_names_a_file_elsewhere_costs_nobody_that_file(campaign):
     (campaign / "campaign.toml").write_text(head + "[targets]" + rest.partition("[targets]")[2])
     assert summarise(build(campaign)).ok
     assert victim.read_text() == "three years"
-
-
-def test_turns_are_taken_and_not_waited_for_without_end(tmp_path):
-    with in_turn(tmp_path):
-        start = time.monotonic()
-        with in_turn(tmp_path, patience_s=0.2):
-            assert time.monotonic() - start > 0.1

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import toy
 
 from levkas.building import build, build_records, status, summarise
 from levkas.building.records_file import NAME, read_rows
@@ -33,9 +34,6 @@ from levkas.core.problems import Refused
 from levkas.database import spectral_tiff
 from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
-
-sys.path.insert(0, str(Path(__file__).parent))
-import toy
 
 POINTS = 10_000 if os.environ.get("LEVKAS_EVERY_CASE") else 6
 """Of every scene and kind in an ordinary run; `make exhaustive` takes all."""
@@ -194,19 +192,6 @@ def test_after_a_fault_all_is_whole_and_a_second_build_gives_the_same_bytes(scen
     for at in spread(len(scene.steps) - 2 * shift, POINTS):
         struck, torn, left = strike(scene, at, kind)
         assert struck and not torn and not left, (at, kind)
-
-
-@pytest.mark.parametrize("kind", ["full", "failing"])
-def test_a_layer_whose_stage_the_disk_refused_stays_what_it_was(scenes, kind):
-    scene = scenes["over"]
-    at = next(n for n, (_, path) in enumerate(scene.steps, 1) if Path(path).name == "one_photo.tif")
-    struck, torn, left = strike(scene, at, kind)
-    assert Path(struck[1]).parts[-3:-1] == ("objects", "one") and not torn and not left
-
-
-def test_a_fault_that_is_never_reached_changes_nothing(scenes):
-    assert strike(scenes["over"], 100_000, "kill") == (None, [], [])
-    assert hash_tree(scenes["over"].output) == scenes["over"].after
 
 
 CHILD = """

@@ -6,17 +6,12 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from cameras import developed
 from scipy import ndimage
 
 import levkas
 from levkas.building import build, summarise
-from levkas.campaign.campaign import load_campaign
-from levkas.campaign.discovery.find_captures import find_captures
-from levkas.core.problems import Refused
 from levkas.core.text import read_json
-from levkas.database.layout import Places
-from levkas.stages.calibrate import calibrate
-from levkas.stages.template_cache import TemplateCache
 
 CAMPAIGN = """
 [campaign]
@@ -24,7 +19,7 @@ reference = {{ camera = "photo", band = "G" }}
 [cameras.photo]
 kind = "image"
 files = "photo/{{target}}.png"
-[cameras.xrf]
+[cameras.cam]
 kind = "maps"
 files = "xrf/{{target}}.{suffix}"
 [targets]
@@ -63,12 +58,6 @@ def campaign(tmp_path_factory):
     return folder
 
 
-def test_the_bands_of_a_stack_have_the_names_of_its_maps(campaign):
-    captures, *_ = find_captures(load_campaign(campaign))
-    (capture,) = (one for one in captures if one.camera == "xrf")
-    assert tuple(band.label for band in capture.bands) == NAMES
-
-
 @pytest.fixture(scope="module")
 def files(campaign, tmp_path_factory):
     """The same maps in a file each: ``Pb_L.tif``, ``Hg_L.tif`` and so on in the object's folder."""
@@ -82,18 +71,12 @@ def files(campaign, tmp_path_factory):
     return folder
 
 
-def calibrated(folder):
-    loaded = load_campaign(folder)
-    captures, *_ = find_captures(loaded)
-    (capture,) = (one for one in captures if one.camera == "xrf")
-    return calibrate(capture, loaded, TemplateCache(folder / "kept"), Places(folder / "database"))
-
-
 def test_maps_in_a_file_each_are_those_of_a_stack(campaign, files):
-    whole, apart = (calibrated(folder).cubes[""] for folder in (campaign, files))
+    whole, apart = (developed(folder, "icon1").cube for folder in (campaign, files))
     names = [band.label.replace("-", "_") for band in apart.bands]
     order = [names.index(name) for name in NAMES]
     np.testing.assert_array_equal(apart.values[..., order], whole.values)
+    assert tuple(whole.labels) == NAMES
 
 
 def test_a_map_of_another_size_is_refused_by_its_name(files, tmp_path):
@@ -102,19 +85,18 @@ def test_a_map_of_another_size_is_refused_by_its_name(files, tmp_path):
     shutil.copytree(files / "photo", tmp_path / "photo")
     shutil.copy(files / "campaign.toml", tmp_path)
     cv2.imwrite(str(tmp_path / "xrf/icon1/Hg-L.tif"), np.ones((90, 111), np.float32))
-    with pytest.raises(Refused, match="Hg-L differs in size"):
-        calibrated(tmp_path)
+    assert "Hg-L" in developed(tmp_path, "icon1").problems[0].file
 
 
 @pytest.mark.slow
 def test_a_stack_of_maps_is_built_on_to_the_photograph(campaign):
     report = summarise(build(campaign))
     assert report.ok, report.text
-    record = read_json(campaign / "database/objects/icon1/registration/xrf.json")
+    record = read_json(campaign / "database/objects/icon1/registration/cam.json")
     assert record["verdict"]["decision"] != "refuse"
     maps = [band["transform"] for band in record["bands"].values()]
     assert len(maps) == 4 and all(one == maps[0] for one in maps)
-    layer = levkas.open(campaign / "database")["icon1"]["xrf"]
+    layer = levkas.open(campaign / "database")["icon1"]["cam"]
     assert layer.values.shape[-2:] == (720, 900) or layer.values.shape[:2] == (720, 900)
     from levkas.geometry import from_dict
 

@@ -62,23 +62,6 @@ def test_the_key_makes_the_calibration_stale_and_no_other_stage_of_a_capture(pla
         assert stages <= {"calibrate", "camera"}, done
 
 
-@pytest.mark.slow
-def test_a_layer_registered_later_is_that_of_a_build_in_one_go(plate, tmp_path):
-    folder = plate[0]
-    keys = (folder / "campaign.toml").read_text()
-    (folder / "campaign.toml").write_text(keys + "[registration]\nstop = 0.9\n")
-    try:
-        report = summarise(build(folder, output=folder / "database"))
-        assert states(report)["infrared calibrate"] == "fresh"
-        assert states(report)["infrared register"] == "done"
-        later = hash_tree(folder / "database")
-        assert summarise(build(folder, output=tmp_path / "at-once")).ok
-        assert later == hash_tree(tmp_path / "at-once")
-    finally:
-        (folder / "campaign.toml").write_text(keys)
-        built(folder)
-
-
 def test_the_workbench_shows_the_pixels_that_the_database_does_not_hold(plate):
     folder, _, _, pixels = plate
     library = Library(folder)

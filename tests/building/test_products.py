@@ -1,12 +1,7 @@
 """Cubes of reflectance as other programs write them: factors, samples that hold nothing, bad bands."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from cameras import developed, drop, key, read_scan, text, tones, write, write_scan
 
 from levkas.core.cube import Band, Cube, Flag

@@ -1,14 +1,10 @@
 """Every file that a frame is made of is looked at, by its content and by what it is used for."""
 
 import os
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from cameras import text
 
 from levkas.building import build, status

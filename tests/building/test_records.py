@@ -6,7 +6,6 @@ import os
 import sqlite3
 import subprocess
 import sys
-import time
 from contextlib import closing
 from pathlib import Path
 
@@ -194,37 +193,14 @@ def kept(tmp_path):
     return frame, index
 
 
-def test_what_was_read_is_found_again_by_its_stamp(kept):
-    frame, index = kept
-    assert Hashes(index)(frame) == "f" * 64
-    assert Hashes(index, verify=True)(frame) == hash_file(frame)
-    frame.write_bytes(b"other")
-    assert Hashes(index)(frame) == hash_file(frame)
-
-
 @pytest.mark.parametrize(
     "flipped", ["sha256 = NULL", "sha256 = 'ffff'", "inode = 'one'", "size = NULL"]
 )
 def test_a_damaged_row_of_the_index_is_read_again(kept, flipped):
     frame, index = kept
+    assert Hashes(index)(frame) == "f" * 64  # by its stamp
     change(index.parent, f"UPDATE files SET {flipped}")
     assert Hashes(index)(frame) == hash_file(frame)
-
-
-def test_a_file_that_was_just_changed_is_read_once_more_before_its_hash_is_recorded(
-    kept, monkeypatch
-):
-    frame, index = kept
-    hashes = Hashes(index, verify=True)
-    monkeypatch.setattr("levkas.building.hashes.is_old_enough", lambda stamp, now: False)
-    before = hashes(frame)
-    stamp = frame.stat()
-    frame.write_bytes(b"FRAME")
-    os.utime(frame, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
-    monkeypatch.undo()
-    time.sleep(0.2)  # past the tick
-    hashes.save()
-    assert Hashes(index)(frame) == hash_file(frame) != before
 
 
 def test_two_builds_write_one_index(tmp_path):

@@ -4,10 +4,10 @@
 """
 
 import shutil
-import sys
-from pathlib import Path
 
 import pytest
+import toy
+from toy import ended, heal, spoil
 
 from levkas.building import build, report_pages, run, status, summarise
 from levkas.building.derived_layers import AGAIN
@@ -16,10 +16,6 @@ from levkas.core.files import write_json
 from levkas.core.problems import Refused
 from levkas.database.catalogue import ESTIMATED, Entry, read_catalogue, write_catalogue
 from levkas.database.layout import MADE_OF, LayerId
-
-sys.path.insert(0, str(Path(__file__).parent))
-import toy
-from toy import ended, heal, spoil
 
 CAMERAS = ("photo", "filters", "colour", "scan")
 LAYERS = {"photo", "filters", "filters@raking", "colour", "scan"}
@@ -155,26 +151,6 @@ def test_a_layer_that_cannot_be_made_today_stays_and_is_marked(campaign, fault, 
     assert hash_tree(campaign / "database") == whole
 
 
-def test_without_the_reference_an_object_is_refused_and_the_other_is_built(new):
-    (new / "photo/one.png").unlink()
-    report = summarise(build(new))
-    codes = {p.code for s in report.stages if s.key.object == "one" for p in s.problems}
-    assert codes == {"E_NO_FRAMES", "E_NO_REFERENCE"}
-    assert [e.object for e in read_catalogue(new / "database")] == ["two"]
-    assert status(new).problems == report.problems
-
-
-def test_a_frame_is_missed_until_campaign_toml_or_its_layer_goes(campaign):
-    (campaign / "photo/two.png").unlink()
-    report = summarise(build(campaign))
-    assert "E_NO_FRAMES" in {p.code for p in report.problems}
-    assert [e.object for e in read_catalogue(campaign / "database") if e.earlier] == ["two"]
-    say(campaign, '["one", "two"]', '["one"]')
-    report = summarise(build(campaign))
-    assert report.ok and {e.object for e in read_catalogue(campaign / "database")} == {"one"}
-    assert (campaign / "database.removed/1/objects/two/two_photo.tif").is_file()
-
-
 def test_a_layer_stays_where_what_is_kept_was_deleted_and_goes_with_its_file(campaign):
     names = {e.layer for e in read_catalogue(campaign / "database")}
     shutil.rmtree(campaign / "database.kept")
@@ -187,14 +163,6 @@ def test_a_layer_stays_where_what_is_kept_was_deleted_and_goes_with_its_file(cam
     assert {e.layer for e in read_catalogue(campaign / "database")} == names - {
         LayerId("one", "scan")
     }
-
-
-def test_status_says_the_state_of_a_setup_whose_default_one_is_refused(campaign):
-    spoil(campaign / "filters/one_600nm.tif", "register", "E_MATCHES")
-    for steps in (ended(campaign).values(), status(campaign).stages):
-        told = {step.label: step.state for step in steps}
-        assert told["one/filters register"] == "refused"
-        assert told["one/filters@raking resample"] == "fresh"
 
 
 def broken(*args, **options):

@@ -1,17 +1,13 @@
 """The bytes of a database do not depend on where, when and with how many threads it was built."""
 
 import os
-import sys
-from pathlib import Path
 
 import pytest
+from circumstances import EVERY, run
 
 from levkas.building import build, summarise
 from levkas.core.digests import hash_tree
 from levkas.core.machine import count_threads, tile_rows
-
-sys.path.insert(0, str(Path(__file__).parent))
-from circumstances import EVERY, run
 
 FEW = ("1 threads, 64 rows", "3 threads, 97 rows", "OPENBLAS_CORETYPE = Haswell")
 """One more of each kind are exhaustive."""

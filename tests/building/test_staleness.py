@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
 import pytest
+import toy
+from toy import ended
 
 from levkas.building import status
 from levkas.building.build_records import CATALOGUE, Key
@@ -25,10 +26,6 @@ from levkas.building.plan import read_plan
 from levkas.building.records_file import NAME
 from levkas.campaign import methods
 from levkas.core.digests import hash_tree, stamp_of
-
-sys.path.insert(0, str(Path(__file__).parent))
-import toy
-from toy import ended
 
 EVERY, FEW = bool(os.environ.get("LEVKAS_EVERY_CASE")), 3
 Change = Callable[[Path], None]
@@ -192,32 +189,22 @@ def changes_of_keys() -> Iterator[tuple[str, str, Change, set[str]]]:
     for name, (change, stale) in expected.items():
         yield key, name, change, stale
     both = of_frames("filters") | of_frames("filters@raking")
-    yield (
-        "a table beside it",
-        "sensitivity",
-        table("colour.csv", "500,0,1", "500,0,2"),
-        of_frames("colour") | {"colour camera"},
-    )
-    yield "a table beside it", "white", table("white.csv", "0.97", "0.96"), raised
-    yield "a table beside it", "lamp", table("lamp.csv", "1.5", "1.6"), of_frames("filters@raking")
-    yield (
-        "a table beside it",
-        "control points",
-        lambda f: (f / "one_xray.csv").write_text(
-            "reference_x,reference_y,target_x,target_y\n9,9,9,9\n"
-        ),
-        stages("xray", "register") | {*END},
-    )
-    edit = "[objects.one.cameras.xray]\nadded = [[20, 20, 21, 21]]\n"
-    yield (
-        "a table beside it",
-        "edits.toml",
-        lambda f: (f / "edits.toml").write_text("version = 1\n" + edit),
-        stages("xray", "register") | {*END},
-    )
+    points = "reference_x,reference_y,target_x,target_y\n9,9,9,9\n"
+    edits = "version = 1\n[objects.one.cameras.xray]\nadded = [[20, 20, 21, 21]]\n"
+    by_points = stages("xray", "register") | {*END}
+    tables = {
+        "sensitivity": (
+            table("colour.csv", "500,0,1", "500,0,2"), of_frames("colour") | {"colour camera"}),
+        "white": (table("white.csv", "0.97", "0.96"), raised),
+        "lamp": (table("lamp.csv", "1.5", "1.6"), of_frames("filters@raking")),
+        "control points": (lambda f: (f / "one_xray.csv").write_text(points), by_points),
+        "edits.toml": (lambda f: (f / "edits.toml").write_text(edits), by_points),
+    }  # fmt: skip
     for target in ("one", "dark", "white"):  # under both setups: the manifest has no folders
         line = f"{target}_500nm.tif,0.1"
-        yield "an exposure in the manifest", line, table("exposures.csv", line, f"{line}5"), both
+        tables[line] = table("exposures.csv", line, f"{line}5"), both
+    for name, (change, stale) in tables.items():
+        yield "a table beside it", name, change, stale
     dark = stated('dark = "dark"', 'dark = "white"')
 
     def roles(folder: Path) -> None:

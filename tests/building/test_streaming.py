@@ -1,13 +1,14 @@
 """Line scans, calibrated by blocks of lines: as the whole is, to the last bit, however many lines are taken together."""
 
+import base64
+import io
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from cameras import (
     Habits,
     developed,
@@ -21,6 +22,8 @@ from cameras import (
     write,
     write_scan,
 )
+from PIL import Image
+from scipy.ndimage import gaussian_filter
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from world import write_campaign as write_world
@@ -32,7 +35,16 @@ from levkas.core.digests import hash_tree
 from levkas.database.layers import Layer, write_layer
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
-from levkas.stages import scan_templates, scans, streaming
+from levkas.quality.image_quality import sharpness
+from levkas.stages import capture_statistics, scan_templates, scans, streaming
+from levkas.stages.capture_statistics import (
+    DefaultLayer,
+    LayerStatistics,
+    Middle,
+    flag_and_count,
+    focus_of,
+)
+from levkas.stages.exposures import mark_glare_in
 from levkas.stages.scans import is_streamed, open_scan
 from levkas.stages.template_cache import TemplateCache
 
@@ -248,3 +260,95 @@ def test_a_mirror_scan_counts_three_times(tmp_path, monkeypatch):
     for most, streamed in ((3 * size - 1, True), (3 * size, False)):
         monkeypatch.setattr(scans, "STREAMED_SAMPLES", most)
         assert is_streamed(made.capture, made.campaign) == streamed
+
+
+# --- what is told of lines that only pass by
+
+
+def test_counts_are_never_glare():
+    values, flags = np.full((2, 2, 1), 9.0, np.float32), np.zeros((2, 2, 1), np.uint8)
+    assert not mark_glare_in(Cube(values, flags, None, (Band("G"),), "counts")).flags.any()
+
+
+@pytest.mark.parametrize("rows", [1, 17, 1000])
+def test_focus_of_lines_that_pass_by_is_that_of_the_whole_cube(monkeypatch, rows):
+    monkeypatch.setattr(sharpness, "LONGEST", 160)
+    monkeypatch.setattr(capture_statistics, "MOST_BANDS", 3)
+    rng = np.random.default_rng(2)
+    scene = np.kron(rng.random((10, 8)), np.ones((24, 24)))
+    stack = [gaussian_filter(scene, 0.7 + 0.25 * b) for b in range(5)]
+    values = np.stack(stack, -1).astype(np.float32)
+    flags = np.zeros(values.shape, np.uint8)
+    flags[100:110, 90:100] = Flag.GLARE
+    bands = tuple(Band(f"{b}") for b in range(5))
+    middle = Middle(values.shape, bands)
+    for y in range(0, len(values), rows):
+        part = slice(y, y + rows)
+        middle.add(Cube(values[part], flags[part], None, bands, "reflectance"))
+    whole = focus_of([Cube(values, flags, None, bands, "reflectance")])
+    assert middle.focus() == whole
+    assert [one["band"] for one in whole] == ["0", "2", "4"]
+    blurs = [one["blur_px"] for one in whole]
+    assert blurs == pytest.approx([np.sqrt(b**2 + 1 / 12) for b in (0.7, 1.2, 1.7)], rel=0.12)
+
+
+@pytest.fixture
+def two_setups(tmp_path):
+    """A painting of 96 x 120 px under two lightings, the default one published."""
+    rng = np.random.default_rng(4)
+    paint = np.kron(rng.uniform(0.05, 0.7, (12, 15, 3)), np.ones((8, 8, 1))).astype(np.float32)
+    bands = tuple(Band(str(b)) for b in range(3))
+    default = Cube(paint, np.zeros(paint.shape, np.uint8), None, bands, "reflectance")
+    write_layer(tmp_path, Layer("icon", "scan"), default)
+    base = tmp_path / "objects" / "icon" / "icon_scan"
+    layer = DefaultLayer.open(base.with_suffix(".tif"), base.with_suffix(".flags.tif"), paint.shape)
+    shown = paint * np.array([1.1, 1.05, 0.95], np.float32)
+    shown[30:50, 40:80] += 0.3
+    return layer, Cube(shown, default.flags, None, bands, "reflectance")
+
+
+@pytest.mark.parametrize("rows", [1, 13, 96])
+def test_rows_of_another_setup_are_compared_with_the_default_ones(two_setups, tmp_path, rows):
+    layer, cube = two_setups
+    base = tmp_path / "objects/icon/icon_scan"
+    paths = base.with_suffix(".tif"), base.with_suffix(".flags.tif")
+    assert DefaultLayer.open(*paths, (96, 121, 3)) is None
+    gains = np.array([1.1, 1.05, 0.95], np.float32)
+    whole = Cube(cube.values, cube.flags.copy(), None, cube.bands, cube.quantity)
+    reported = flag_and_count(whole, layer.rows(), gains)
+    planted = np.zeros(whole.flags.shape, bool)
+    planted[30:50, 40:80] = True
+    assert reported["veiled"] == 800
+    np.testing.assert_array_equal((whole.flags & Flag.VEILED) != 0, planted)
+    statistics = LayerStatistics(layer, gains)
+    parts = (slice(y, y + rows) for y in range(0, 96, rows))
+    blocks = [replace(cube, values=cube.values[p], flags=cube.flags[p].copy()) for p in parts]
+    parts = CubeRows(blocks, whole.shape, cube.bands, cube.quantity, has_sigma=False)
+    flags = np.concatenate([block.flags for block in statistics.flagged(parts).blocks])
+    np.testing.assert_array_equal(flags, whole.flags)
+    assert statistics.glare == reported | {"inside": 96 * 120}
+
+
+@pytest.mark.parametrize("rows", [7, 64, 1000])
+def test_the_map_of_sigma_is_noted_alike_in_blocks_of_any_height(rows):
+    """A ramp of sigma from left to right, alike in all bands but one that knows none, and nowhere known in the first rows."""
+    height, width = 1000, 500
+    ramp = np.linspace(0.01, 0.02, width, dtype=np.float32)
+    sigma = np.broadcast_to(ramp[None, :, None], (height, width, 3)).copy()
+    sigma[..., 1], sigma[:60] = np.nan, np.nan
+    bands = tuple(Band(f"{nm} nm", nm) for nm in (500, 600, 700))
+    blocks = [
+        Cube(np.ones_like(part), np.zeros(part.shape, np.uint8), part, bands, "reflectance")
+        for part in (sigma[y : y + rows] for y in range(0, height, rows))
+    ]
+    statistics = LayerStatistics(step=16)
+    parts = CubeRows(iter(blocks), sigma.shape, bands, "reflectance", has_sigma=True)
+    list(statistics.flagged(parts).blocks)
+    noted = statistics.sigma_map()["sigma_map"]
+    levels = np.asarray(Image.open(io.BytesIO(base64.b64decode(noted["png"])))).astype(float)
+    assert levels.shape == (334, 167)  # every third pixel: 360 are the most
+    assert (levels[:20] == 0).all()
+    assert noted["least"] == pytest.approx(0.0101, abs=6e-5)
+    assert noted["most"] == pytest.approx(0.0199, abs=6e-5)
+    shown = noted["least"] + (levels[20:] - 1) / 254 * (noted["most"] - noted["least"])
+    np.testing.assert_allclose(shown, np.tile(ramp[::3], (314, 1)), atol=1.5e-4)

@@ -161,27 +161,6 @@ def test_steps_between_tiles_are_said_and_other_positions_place_them_anew(tmp_pa
     assert steps["infrared", "register"].state == "done"  # it lies on tiles that may lie elsewhere
 
 
-def test_built_again_all_is_fresh(built):
-    folder, _ = built
-    assert {s.state for s in steps_of(folder).values()} == {"fresh"}
-
-
-def test_a_tile_of_another_painting_is_a_hole(tmp_path):
-    frames = make(tmp_path, xray=True)
-    rng = np.random.default_rng(5)
-    write(tmp_path / "photo/one_r2c3.tif", cut(painting(7), laid(100, 90, 0.0), TILE, rng))
-    write(tmp_path / "xray/one_right.tif", cut(painting(8), laid(100, 60, 0.0), (260, 340), rng))
-    steps = steps_of(tmp_path)
-    assert {s.state for s in steps.values()} == {"done"}
-    for camera, lost in (("photo", "r2c3"), ("xray", "right")):
-        record = record_of(tmp_path, camera)
-        assert record["verdict"]["decision"] == "warn"
-        assert [t for t, one in record["tiles"].items() if "bands" not in one] == [lost]
-    found = error(tmp_path, frames, "photo#r1c1", "xray#left")
-    assert found.mean() < 0.06
-    assert found.max() < 0.25
-
-
 def test_tiles_in_wrong_order_one_twice_and_one_missing(tmp_path):
     """Names say where tiles are, and they are wrong: what tiles show goes before."""
     frames = make(tmp_path)

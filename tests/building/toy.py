@@ -12,9 +12,10 @@ import hashlib
 import json
 import re
 import shutil
-import sys
 from functools import partial
 from pathlib import Path
+
+import every_kind
 
 from levkas.building import outcomes, records_file, report_pages, run, summarise, tasks
 from levkas.core import files
@@ -22,9 +23,6 @@ from levkas.core.digests import hash_file
 from levkas.core.problems import Problem, Refused
 from levkas.database.catalogue import Entry
 from levkas.stages.written import Written
-
-sys.path.insert(0, str(Path(__file__).parent))
-import every_kind
 
 CAMERAS = ("photo", "xray", "filters", "colour", "twin", "scan")
 KEYS = ("kind", "bits", "black", "saturation", "exposures", "denoise", "demosaic")

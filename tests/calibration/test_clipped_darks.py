@@ -4,7 +4,6 @@ import pytest
 from levkas.calibration.clipped_darks import (
     fit_clipped_dark,
     is_clipped,
-    pairs_of_lines,
     unclip,
 )
 from levkas.calibration.templates import CalibrationRefused, average
@@ -30,33 +29,10 @@ def test_black_noise_and_pattern_come_back(black, noise, fixed):
     assert found.fixed == pytest.approx(fixed, abs=max(0.03, 3 * found.fixed_error))
 
 
-def test_one_percent_of_the_pixels_above_zero_is_enough():
-    found = fit_clipped_dark(darks(-3.0, 1.5, 0.0, hot=0))
-    assert found.zeros > 0.98
-    assert found.black == pytest.approx(-3.0, abs=3 * found.black_error)
-    assert found.black_error < 0.1
-
-
-def test_a_single_shot_gives_both_spreads_in_one():
-    found = fit_clipped_dark(darks(0.0, 3.0, 1.0, count=1))
-    assert found.noise == pytest.approx(np.hypot(3, 1), rel=0.01)
-    assert np.isnan(found.fixed)
-
-
 def test_nothing_but_zeros_and_hot_sensels_is_refused():
-    with pytest.raises(CalibrationRefused, match="exposure series") as refused:
+    with pytest.raises(CalibrationRefused) as refused:
         fit_clipped_dark(darks(-20.0, 1.0, 0.0))
     assert refused.value.problems[0].code == "E_DARK_CLIPPED"
-
-
-def test_real_darks_of_an_eight_bit_camera_are_refused(real_data):
-    import tifffile
-
-    folder = real_data / "filterwheel-disks" / "dark"
-    frames = [tifffile.imread(f) for f in sorted(folder.glob("d1_dark_3916ms*"))]
-    assert is_clipped(frames[0])
-    with pytest.raises(CalibrationRefused):
-        fit_clipped_dark(frames)
 
 
 def unclipped(offset, noise, count, seed=2):
@@ -87,14 +63,3 @@ def test_a_dark_that_glows_keeps_its_glow(count):
     miss = unclipped(offset, 2.5, count).mean - offset
     assert abs(miss.reshape(8, 30, 320).mean((1, 2))).max() < 0.08
     assert miss.std() < 0.6
-
-
-@pytest.mark.parametrize("noise", [0.7, 1.0])
-def test_little_noise_of_a_narrow_scan_is_fitted(noise):
-    rng = np.random.default_rng(6)
-    level = 0.4 * rng.standard_normal((1, 1, 120, 1))
-    lines = np.rint(level + rng.normal(0, noise, (96, 1, 120, 1))).clip(0).astype(np.uint16)
-    dark = average(list(lines))
-    made = unclip(dark, [lines[y] for y in pairs_of_lines(96, 120)])
-    assert made.fit is not None and made.fit.noise == pytest.approx(noise, rel=0.06)
-    assert abs(float(np.mean(made.mean - level[0]))) < 0.05 < float(np.mean(dark.mean - level[0]))

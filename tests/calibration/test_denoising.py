@@ -47,14 +47,6 @@ def test_denoising_brings_the_truth_nearer_and_takes_no_more_than_noise():
     assert 0.9 < made.most < 1.5
 
 
-def test_rare_spectra_that_are_lost_are_reported():
-    _, noisy = cubes()
-    # A saw of ±5 sigma in one spectrum of 2,000: too little power for a direction of its own.
-    noisy[3, 4, ::2] += 0.05
-    noisy[3, 4, 1::2] -= 0.05
-    assert 4 < denoise(noisy).most < 6
-
-
 def test_blocks_do_not_matter():
     _, noisy = cubes()
     whole, parts = denoise(noisy, lines=1000), denoise(noisy, lines=7)
@@ -68,11 +60,8 @@ def test_binned_bands_are_refused():
     with pytest.raises(CalibrationRefused) as refused:
         denoise(binned.astype(np.float32))
     assert refused.value.problems[0].code == "E_CORRELATED"
-
-
-def test_too_few_spectra_are_refused():
-    with pytest.raises(CalibrationRefused, match="too few spectra or bands for a signal subspace"):
-        find_subspace([cubes()[1][:3]])
+    with pytest.raises(CalibrationRefused):  # too few spectra
+        find_subspace([noisy[:3]])
 
 
 def test_unknown_spectra_come_back_unknown():
@@ -102,6 +91,7 @@ def test_sigma_holds_what_was_taken_from_a_rare_spectrum():
     noisy[3, 4, ::2] += 0.05
     noisy[3, 4, 1::2] -= 0.05
     made = denoise(noisy, np.full(noisy.shape, 1e-4, np.float32))
+    assert 4 < made.most < 6  # a saw of ±5 sigma in one spectrum of 2,000
     miss = (made.values - clean) / np.sqrt(made.variance)
     assert miss[3, 4].std() < 1.3
     assert np.sqrt(made.variance[3, 4]).mean() > 0.04 > 10 * np.sqrt(made.variance[5, 5]).mean()

@@ -4,63 +4,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-import levkas
 from levkas.calibration.differing_shots import (
     Sight,
     difference_between,
-    require_agreement,
 )
-from levkas.calibration.drift import average_steady
-from levkas.calibration.templates import CalibrationRefused
-
-SHAPE = (120, 160)
-
-
-def whites(levels, hands=(), seed=1, light=3000.0):
-    """Shots of a vignetted board; `hands` are the shots with a hand before a part of it."""
-    rng, (y, x) = np.random.default_rng(seed), np.indices(SHAPE)
-    even = 1 - ((y / SHAPE[0] - 0.5) ** 2 + (x / SHAPE[1] - 0.5) ** 2)
-    made = []
-    for k, level in enumerate(levels):
-        scene = light * level * even
-        if k in hands:
-            scene[40:90, 30:100] *= 0.4
-        made.append(np.rint(60 + rng.normal(scene, np.sqrt(0.25 * scene + 6))).astype(np.uint16))
-    return made
-
-
-def averaged(frames, **more):
-    return average_steady(lambda: frames, 60.0, white=True, **more)
-
-
-@pytest.mark.parametrize("light", [3000.0, 60.0])
-def test_a_hand_in_one_of_some_whites_is_named(light):
-    found = averaged(whites(1 + 0.01 * np.arange(6), hands={3}, light=light))
-    assert found.shots.differing == (3,)
-    with pytest.raises(CalibrationRefused) as refused:
-        require_agreement(found.shots, [f"white_{k}.tif" for k in range(6)])
-    assert refused.value.problems[0].file == "white_3.tif"
-
-
-@pytest.mark.parametrize("levels", [[1, 0.95] * 3, [1, 1.02, 1.04, 1.06], [1, 0.96]])
-def test_a_lamp_that_drifts_or_flickers_leaves_no_shot_out(levels):
-    for light in (3000.0, 8.0):
-        assert averaged(whites(levels, light=light)).shots.apart == 0
-
-
-def test_a_bracket_of_two_whites_is_refused():
-    with pytest.raises(CalibrationRefused) as refused:
-        require_agreement(averaged(whites([1, 0.25])).shots)
-    assert refused.value.problems[0].code == "E_UNLIKE_SHOTS"
-
-
-@pytest.mark.parametrize("hands", [{1}, {0, 2}])
-def test_whites_of_which_no_majority_agrees_are_refused(hands):
-    made = averaged(whites([1.0] * (2 * len(hands)), hands))
-    with pytest.raises(CalibrationRefused) as refused:
-        require_agreement(made.shots)
-    assert refused.value.problems[0].code == "E_UNLIKE_SHOTS"
-
 
 Y, X = np.mgrid[:240, :320] / 240
 
@@ -137,10 +84,3 @@ def test_noise_lamp_and_insects_are_no_difference(change, light):
 def test_a_tremble_of_half_a_pixel_and_a_lamp_that_leans_are_no_difference():
     assert difference(shift(panel(1), (0.3, 0.4), mode="nearest")) is None
     assert difference(panel(1) * (0.96 + 0.08 * X / X.max())) is None
-
-
-def test_arrays_of_two_scenes_are_refused_as_in_a_build():
-    frames = [recorded(panel(1), 1), recorded(panel(2), 2)]
-    with pytest.raises(CalibrationRefused) as refused:
-        levkas.calibrate(frames, recorded(0 * Y, 3), recorded(1 + 0 * Y, 4))
-    assert [p.code for p in refused.value.problems] == ["E_UNLIKE_SHOTS"]

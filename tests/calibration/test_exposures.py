@@ -1,9 +1,6 @@
-import re
-
 import cv2
 import numpy as np
 import pytest
-import tifffile
 
 from levkas.calibration.exposures import best_exposure, merge_exposures
 from levkas.calibration.linearity import check_linearity, require_reciprocity
@@ -45,12 +42,6 @@ def test_the_longest_unsaturated_exposure_is_the_best():
     assert best_exposure(shots).exposure_s == 2.0
 
 
-def test_unknown_exposures_are_refused():
-    with pytest.raises(CalibrationRefused) as refused:
-        best_exposure([average([np.ones((2, 2))])])
-    assert refused.value.problems[0].code == "E_EXPOSURES"
-
-
 def test_a_merge_is_unbiased_honest_and_near_the_bound(sensor):
     rng = np.random.default_rng(3)
     noise = NoiseModel(sensor.gain, sensor.read**2 + 1 / 12)
@@ -83,15 +74,6 @@ def test_where_every_exposure_is_saturated_the_shortest_stands_flagged(sensor):
     np.testing.assert_allclose(merged.mean, 40950)
 
 
-def test_exposures_that_do_not_scale_are_refused_with_where(sensor):
-    rng = np.random.default_rng(4)
-    shots = series(sensor, rng, stated=(0.1, 0.4, 1.6, 8.0))
-    with pytest.raises(CalibrationRefused, match="not proportional") as refused:
-        merge_exposures(shots, darks(sensor, rng)[0], saturation=4095, black=64.0)
-    assert refused.value.problems[0].code == "E_EXPOSURES"
-    assert "rms deviation" in refused.value.problems[0].found
-
-
 def test_an_offset_that_clipped_darks_hide_is_found(sensor):
     rng = np.random.default_rng(5)
     shots = series(sensor, rng, black=-6.0)
@@ -102,26 +84,6 @@ def test_an_offset_that_clipped_darks_hide_is_found(sensor):
     hidden = darks(sensor, rng, black=-6.0)
     merged = merge_exposures(shots, hidden, saturation=4095)
     assert merged.linearity.offset == pytest.approx(-6.0, abs=0.5)
-
-
-def beside_bright_ones(sensor, leak):
-    """Exposures of a checkerboard whose bright sensels lend a share to dim ones until they are full."""
-    rng = np.random.default_rng(6)
-    dim, bright = 40_000 * np.linspace(0.9, 1.1, 300) * np.ones((200, 1)), 160_000.0
-    places = np.indices(dim.shape).sum(0) % 2 == 0
-    shots = []
-    for t in (0.05, 0.1, 0.2, 0.8):
-        lent = leak * min(bright * t, 60_000.0)
-        raw = sensor.shots(np.where(places, bright * t, dim * t + lent), 1, rng)
-        shots.append(average(raw, saturation=sensor.saturation, exposure_s=t))
-    return shots
-
-
-def test_dim_sensels_beside_full_ones_are_not_compared(sensor):
-    # 4 % of a neighbour's light is 16 % of a dim sensel's own, and 7 % once the neighbour is full.
-    found = check_linearity(beside_bright_ones(sensor, 0.04), saturation=4095, black=64.0)
-    assert found.points > 20
-    assert found.rms < 0.005
 
 
 def leaky(leak, seed=7):
@@ -151,10 +113,9 @@ def leaky(leak, seed=7):
     return shots, noise, truth, 1 / known, near
 
 
-@pytest.mark.parametrize("leak", [0.0018])
-def test_what_full_sensels_lend_to_their_neighbours_is_no_bias(leak):
+def test_what_full_sensels_lend_to_their_neighbours_is_no_bias():
     """Of these discs of all tones half the sensels lie next to full ones: their variance is up to 2.2 times the bound."""
-    shots, noise, truth, bound, near = leaky(leak)
+    shots, noise, truth, bound, near = leaky(0.0018)
     merged = merge_exposures(shots, saturation=4095, black=64.0, noise=noise)
     miss = merged.template.mean - truth
     for low, high in ((0.01, 0.03), (0.03, 0.1), (0.1, 0.3), (0.3, 1.0)):
@@ -165,23 +126,6 @@ def test_what_full_sensels_lend_to_their_neighbours_is_no_bias(leak):
     z = (miss / np.sqrt(merged.template.variance))[~near & ~merged.template.saturated]
     assert 0.97 < z.std() < 1.03
     assert merged.moved.mean() < 1e-4
-
-
-def test_what_moved_between_exposures_is_flagged_and_nothing_else(sensor):
-    rng, noise = np.random.default_rng(10), NoiseModel(sensor.gain, sensor.read**2 + 1 / 12)
-    scene = rates().copy()
-    still = merge_exposures(series(sensor, rng), darks(sensor, rng), saturation=4095, noise=noise)
-    assert not still.moved.any()
-    shots = series(sensor, rng)
-    scene[100:110, 90:100] *= 0.5
-    late = average(sensor.shots(scene * 0.4, 1, rng), saturation=4095, exposure_s=0.4)
-    found = merge_exposures(
-        [shots[0], late, *shots[2:]], darks(sensor, rng), saturation=4095, noise=noise
-    )
-    assert found.moved[101:109, 91:99].all() and found.moved[100:110, 90:100].mean() > 0.9
-    assert found.moved.sum() <= 14 * 14  # neighbours of one phase are two pixels away
-    unknown = merge_exposures(shots, darks(sensor, rng), saturation=4095)
-    assert unknown.moved is None
 
 
 @pytest.mark.parametrize(
@@ -203,6 +147,7 @@ def test_what_linearity_lamp_and_hot_sensels_leave_is_no_movement(sensor, bent, 
     away[130:170, 90:130] = False
     assert found.moved[away].mean() < 0.001
     assert found.moved[fly].mean() > 0.95
+    assert merge_exposures(shots, black=64.0, saturation=4095).moved is None
 
 
 def test_a_sensel_that_blinks_marks_itself_alone(sensor):
@@ -230,27 +175,7 @@ def test_scaling_to_another_exposure_is_refused_with_where_it_broke(sensor):
     rng = np.random.default_rng(8)
     bent = series(sensor, rng, stated=(0.1, 0.4, 1.6, 6.9))
     found = check_linearity(bent, saturation=4095, black=64.0)
-    with pytest.raises(CalibrationRefused, match=r"at \S+ s and \d+ counts") as refused:
+    with pytest.raises(CalibrationRefused) as refused:
         require_reciprocity(found)
-    assert "same exposure" in refused.value.problems[0].fix
+    assert refused.value.problems[0].code == "E_EXPOSURES"
     require_reciprocity(check_linearity(series(sensor, rng), saturation=4095, black=64.0))
-
-
-def real_series(folder, band):
-    def time_s(path):
-        return int(re.search(r"_(\d+)ms", path.name)[1]) / 1000
-
-    return [
-        average([tifffile.imread(f)], saturation=255, exposure_s=time_s(f))
-        for f in sorted(folder.glob(f"frames/*_{band}nm_*.tif"))
-    ]
-
-
-@pytest.mark.parametrize("band", [450, 550])
-def test_a_real_exposure_series_scales(real_data, band):
-    shots = real_series(real_data / "filterwheel-disks", band)
-    found = check_linearity(shots, saturation=255, fit_offset=True)
-    # Measured 0.1 to 0.7 %; with sensels beside saturated ones it was up to 3.2 % (550 nm).
-    assert found.points >= 12
-    assert found.rms < 0.01
-    assert -0.6 < found.offset < 0.3

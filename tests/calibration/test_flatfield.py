@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from levkas.calibration.flatfield import flat_field
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
@@ -29,15 +27,6 @@ def test_exposures_are_normalised():
     np.testing.assert_allclose(made.values, 1.0, rtol=1e-6)
 
 
-@settings(max_examples=20, deadline=None)
-@given(st.floats(0.05, 1.5), st.floats(0.0, 200.0), st.integers(0, 2**31))
-def test_flat_field_of_the_white_is_its_reflectance(reflectance, level, seed):
-    lit = np.random.default_rng(seed).uniform(300, 4000, (5, 7)).astype(np.float32)
-    white, dark = average([lit]), average([np.full((5, 7), level, np.float32)])
-    made = flat_field(white, dark, white, board=WhiteBoard(reflectance))
-    np.testing.assert_allclose(made.values, reflectance, rtol=1e-6)
-
-
 def test_bands_and_channels_have_their_own_white_reflectance():
     cube = flat_field(
         flat(50, shape=(2, 3, 2)), None, flat(100, shape=(1, 3, 2)), board=WhiteBoard([0.9, 0.8])
@@ -45,12 +34,6 @@ def test_bands_and_channels_have_their_own_white_reflectance():
     np.testing.assert_allclose(cube.values[1, 2], [0.45, 0.4], rtol=1e-6)
     mosaic = flat_field(flat(50), None, flat(100), board=WhiteBoard([0.9, 0.8, 0.6], "GBRG"))
     np.testing.assert_allclose(mosaic.values[:2, :2], [[0.45, 0.4], [0.3, 0.45]], rtol=1e-6)
-
-
-def test_a_push_broom_template_serves_all_lines():
-    shot = average([np.arange(24, dtype=np.float32).reshape(4, 3, 2)])
-    white = average([np.array([[[1, 2], [4, 5], [8, 10]]], np.float32)])
-    np.testing.assert_allclose(flat_field(shot, None, white).values, shot.mean / white.mean)
 
 
 def test_without_a_white_it_is_counts_above_dark():
@@ -106,19 +89,6 @@ def test_flags_follow_object_and_white():
     assert np.isfinite(made.values[0, :3]).all()
 
 
-def test_given_defects_are_flagged():
-    defects = np.zeros((4, 6), bool)
-    defects[2, 3] = True
-    made = flat_field(flat(3), None, flat(9), defects=defects)
-    assert np.argwhere(made.flags == Flag.DEFECT).tolist() == [[2, 3]]
-
-
-def test_white_darker_than_dark_is_refused_with_its_numbers():
-    with pytest.raises(CalibrationRefused) as refused:
-        flat_field(flat(90), flat(64), flat(60))
-    assert refused.value.problems[0].code == "E_WHITE_DARK"
-
-
 def test_the_channel_that_has_no_white_is_named():
     lit = np.full((40, 40), 900, np.float32)
     lit[1::2, ::2] = 60
@@ -128,27 +98,6 @@ def test_the_channel_that_has_no_white_is_named():
             flat(64, shape=(40, 40)),
             average([lit]),
             board=WhiteBoard(pattern="GBRG"),
-        )
-
-
-def test_a_saturated_white_is_refused():
-    white = average([np.full((4, 6), 4095, np.uint16)], saturation=4095)
-    with pytest.raises(CalibrationRefused) as refused:
-        flat_field(flat(90), flat(64), white, board=WhiteBoard(labels=["550 nm"]))
-    assert refused.value.problems[0].code == "E_WHITE_SATURATED"
-    assert "550 nm" in str(refused.value)
-
-
-def test_templates_of_other_sizes_are_refused_together():
-    with pytest.raises(CalibrationRefused) as refused:
-        flat_field(flat(90), flat(64, shape=(4, 5)), flat(900, shape=(5, 6)))
-    assert [p.code for p in refused.value.problems] == ["E_SIZE", "E_SIZE"]
-
-
-def test_a_white_spectrum_of_the_wrong_length_is_refused():
-    with pytest.raises(CalibrationRefused, match="expected: one positive number, or 2"):
-        flat_field(
-            flat(1, shape=(2, 3, 2)), None, flat(2, shape=(2, 3, 2)), board=WhiteBoard([1] * 3)
         )
 
 

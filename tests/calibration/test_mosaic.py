@@ -91,15 +91,13 @@ def test_variance_is_that_of_the_weights():
     assert variance[6, 6, 1] == pytest.approx(0.5625)
 
 
-def test_malvar_refuses_other_patterns_with_what_to_do():
+@pytest.mark.parametrize(
+    ("pattern", "options"),
+    [(NINE, {"method": "malvar"}), ("RGGB", {"method": "menon"}), ("RGGB", {"channels": "RGX"})],
+)
+def test_methods_and_channels_that_do_not_fit_are_refused(pattern, options):
     with pytest.raises(CalibrationRefused):
-        demosaic(np.ones((9, 9), np.float32), clear((9, 9)), None, NINE, method="malvar")
-
-
-def test_unknown_methods_and_wrong_channels_are_refused():
-    for options in ({"method": "menon"}, {"channels": ("R", "G", "X")}):
-        with pytest.raises(CalibrationRefused):
-            demosaic(np.ones((9, 9), np.float32), clear((9, 9)), None, "RGGB", **options)
+        demosaic(np.ones((9, 9), np.float32), clear((9, 9)), None, pattern, **options)
 
 
 @settings(max_examples=15, deadline=None)

@@ -12,7 +12,6 @@ from levkas.calibration.flatfield import flat_field
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.templates import Template, average
-from levkas.calibration.whites import WhiteBoard
 from levkas.core import threads
 
 NOISE = NoiseModel(0.1, 4.0)
@@ -62,13 +61,9 @@ def unsteady():
 
 STEPS = {
     "average codes": lambda: average(frames(np.uint16), saturation=199),
-    "average reals": lambda: average(frames(np.float32), saturation=199),
     "average steady": lambda: average_steady(unsteady, frozen(np.full((50, 60), 20.0))),
     "flat field": lambda: flat_field(template(200), template(20), template(900), noise=NOISE),
     "flat field of stacks": lambda: flat_field(template(200), template(20), template(900)),
-    "counts": lambda: flat_field(
-        template(200), template(20), noise=NOISE, board=WhiteBoard(pattern="RGGB")
-    ),
     "fit noise": lambda: fit_noise([template(200), template(900)], template(20)),
     "find defects": lambda: find_defects(template(20), template(900), "RGGB"),
     "replace defects": lambda: replace_defects(*mosaic(), "RGGB"),

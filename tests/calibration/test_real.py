@@ -30,17 +30,6 @@ def test_a_nine_band_mosaic_leaves_no_grid(real_data):
     assert np.all(phases.std(0) / phases.mean(0) < 0.001)
 
 
-def test_the_noise_of_a_real_burst(real_data):
-    shots = [
-        cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        for path in sorted((real_data / "silios-kinect" / "burst").glob("*_multispectral*.png"))
-    ]
-    noise = fit_noise([average(shots, saturation=255)])
-    # 255 counts at 0.076 counts an electron: 3,400 electrons in an 8-bit range.
-    assert 0.07 < noise.gain < 0.085
-    assert 0.5 < noise.read_variance < 1.5
-
-
 def test_a_real_line_scan_becomes_reflectance(real_data):
     def scan(name):
         raw = np.fromfile(real_data / "envi-linescan" / f"{name}.raw", "<u2")

@@ -22,33 +22,19 @@ def shots(light, count, seed=0, shape=(60, 80)):
     return list(counts.round().clip(0, 4095).astype(np.uint16))
 
 
-@pytest.mark.slow
-def test_a_mosaic_has_the_values_flags_and_sigma_of_a_build(tmp_path):
-    for _ in levkas.simulate_campaign(
-        tmp_path / "icon", preset="small", scale=0.15, cameras=["d80"]
-    ):
-        pass
-    campaign = levkas.load_campaign(tmp_path / "icon")
-    capture = next(c for c in levkas.find_captures(campaign)[0] if c.camera == "d80")
+def test_a_mosaic_has_the_values_flags_and_sigma_of_a_build(world, tmp_path):
+    campaign = levkas.load_campaign(world.folder)
+    capture = next(c for c in levkas.find_captures(campaign)[0] if c.camera == "colour")
     (sensor,) = capture.sensors
     built = develop(capture, campaign, TemplateCache(tmp_path)).cubes[""]
-    read = [
-        [read_frame(f.path) for f in part] for part in (sensor.object, sensor.dark, sensor.white)
-    ]
-    bits = campaign.cameras["d80"].bits
-    times = [sensor.object[0].exposure_s, sensor.dark[0].exposure_s, sensor.white[0].exposure_s]
-    cube = levkas.calibrate(
-        *read,
-        reflectance=board_of(campaign, capture, sensor).reflectance,
-        pattern=sensor.pattern,
-        saturation=campaign.cameras["d80"].saturation or 2**bits - 1,
-        exposure_s=times if all(times) else None,
-    )
+    parts = (sensor.object, sensor.dark, sensor.white)
+    frames = [[read_frame(frame.path) for frame in part] for part in parts]
+    board = board_of(campaign, capture, sensor).reflectance
+    cube = levkas.calibrate(*frames, reflectance=board, pattern="RGGB", saturation=4095)
     assert cube.labels == built.labels
     np.testing.assert_array_equal(cube.flags & ~GLARE, built.flags & ~GLARE)
-    sound = (built.flags & levkas.Flag.OUTSIDE) == 0
-    np.testing.assert_allclose(cube.values[sound], built.values[sound], rtol=3e-5, atol=1e-6)
-    np.testing.assert_allclose(cube.sigma[sound], built.sigma[sound], rtol=0.005)
+    np.testing.assert_allclose(cube.values, built.values, rtol=3e-5, atol=1e-6)
+    np.testing.assert_allclose(cube.sigma, built.sigma, rtol=0.005)
 
 
 @pytest.mark.parametrize(("count", "shape"), [(1, (200, 240)), (8, (60, 80))])
@@ -108,15 +94,6 @@ def test_defects_movement_saturation_and_gaps_are_flagged():
     assert lost.flags[5, 5, 0] & levkas.Flag.DEFECT and np.isfinite(lost.values[5, 5, 0])
 
 
-def test_no_input_is_changed():
-    given = shots(0.5, 2, 3), shots(0, 2, 1), shots(1.0, 2, 2)
-    before = [[frame.copy() for frame in part] for part in given]
-    levkas.calibrate(*given, pattern="RGGB")
-    for part, kept in zip(given, before, strict=True):
-        for frame, copy in zip(part, kept, strict=True):
-            np.testing.assert_array_equal(frame, copy)
-
-
 GREY = np.full((8, 8), 500, np.uint16)
 
 
@@ -131,27 +108,17 @@ GREY = np.full((8, 8), 500, np.uint16)
         ((GREY, GREY, GREY // 2), {}, "E_WHITE_DARK", None),
         ((GREY, 64, GREY), {"saturation": 400}, "E_WHITE_SATURATED", None),
         ((GREY, 64, GREY), {"reflectance": -1.0}, "E_VALUE", "white.reflectance"),
-        ((GREY, 64, GREY), {"reflectance": [0.9, 0.8]}, "E_VALUE", "white.reflectance"),
         ((GREY, 64, GREY), {"exposure_s": (0.1, 0.1)}, "E_EXPOSURES", "exposure_s"),
-        ((GREY, 64, GREY), {"exposure_s": (0.1, 0.1, 0.0)}, "E_EXPOSURES", "exposure_s"),
         ((GREY, 64, GREY), {"wavelengths": [450, 550]}, "E_BAND_COUNT", "wavelengths"),
         ((GREY, 64, GREY), {"pattern": [["R", "G"], ["B"]]}, "E_VALUE", "pattern"),
         ((np.dstack([GREY] * 2),), {"pattern": "RGGB"}, "E_SIZE", "raw"),
-        ((GREY, 64, GREY), {"pattern": 5}, "E_VALUE", "pattern"),
-        ((GREY[:2, :2],), {"pattern": ["abc", "def", "ghi"]}, "E_SIZE", "raw"),
-        ((None,), {}, "E_VALUE", "raw"),
         ((GREY.tolist(),), {}, "E_VALUE", "raw"),
         ((np.ma.masked_equal(GREY, 1),), {}, "E_VALUE", "raw"),
-        ((GREY > 1,), {}, "E_VALUE", "raw"),
         ((GREY * np.nan,), {}, "E_VALUE", "raw"),
-        ((GREY, "64"), {}, "E_VALUE", "dark"),
         ((GREY, float("nan")), {}, "E_VALUE", "dark"),
-        ((GREY, True), {}, "E_VALUE", "dark"),
         ((GREY, 64, 1000), {}, "E_VALUE", "white"),
         ((GREY, 64, GREY), {"reflectance": "high"}, "E_VALUE", "reflectance"),
-        ((GREY, 64, GREY), {"reflectance": float("nan")}, "E_VALUE", "reflectance"),
         ((GREY, 64, GREY), {"saturation": "full"}, "E_VALUE", "saturation"),
-        ((GREY, 64, GREY), {"exposure_s": "long"}, "E_EXPOSURES", "exposure_s"),
         ((GREY, 64, GREY), {"wavelengths": ["red"]}, "E_VALUE", "wavelengths"),
     ],
 )  # fmt: skip
