@@ -92,17 +92,6 @@ def test_held_libraries_give_the_bits_of_other_processors():
 
 
 @x86_64
-def test_native_libraries_are_left_alone_and_named():
-    native = compute(LEVKAS_INSTRUCTIONS="native")
-    assert not native["held"]
-    record = native["record"]
-    if "AVX2" in record["opencv"]:
-        assert record["level"] == "native" and "X86_V3" in record["numpy"]
-        assert "IPP" in record["opencv"] and "Nehalem" not in record["blas"]
-        assert native["bits"] != compute()["bits"], "nothing has to be held"
-
-
-@x86_64
 @pytest.mark.skipif(os.environ.get(instructions.INSTRUCTIONS) == "native", reason="not held")
 def test_the_process_of_the_tests_is_held():
     assert instructions.describe_instructions()["level"] == instructions.BASELINE

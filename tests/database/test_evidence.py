@@ -6,7 +6,7 @@ import pytest
 from levkas.core.files import write_json
 from levkas.core.problems import Refused
 from levkas.database.pixel_frames import predict_error
-from levkas.database.registrations import describe_pairs, read_registration, shares_light
+from levkas.database.registrations import read_registration, shares_light
 from levkas.geometry.transforms import Affine
 
 NODES = {"x": [0.0, 99.0], "y": [0.0, 99.0]}
@@ -56,9 +56,3 @@ def test_likeness_is_defined_between_pictures_in_the_same_light_alone():
     assert (
         shares_light(xray, [850.0]) and shares_light({}, [nan] * 3) and not shares_light({}, [nan])
     )
-
-
-def test_pairs_by_hand_are_told_of_what_was_accepted():
-    assert describe_pairs({"pairs_by_hand": 1}) == "aligned with 1 pair by hand"
-    assert describe_pairs({}) == ""
-    assert describe_pairs({"pairs_by_hand": 4, "verdict": {"decision": "refuse"}}) == ""

@@ -60,27 +60,6 @@ def test_a_campaign_s_folder_and_file_mean_its_database(campaign):
         levkas.open(campaign / "nothing")
 
 
-def test_colours_are_those_of_colour_science(panel):
-    shape = colour.SpectralShape(400, 700, 20)
-    for light in ("D65", "A"):
-        lab = panel["vis"].levkas.lab(light)
-        assert lab.dims == ("y", "x", "lab") and lab.x.values.tolist() == list(range(30))
-        power = colour.SDS_ILLUMINANTS[light]
-        white = colour.xy_to_XYZ(
-            colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"][light]
-        )
-        for column, spectrum in ((3, AZURITE), (20, OCHRE)):
-            sd = colour.SpectralDistribution(spectrum, shape.wavelengths)
-            # Linear between the bands, as here; colour's own way would be Sprague's.
-            sd = sd.interpolate(
-                colour.SpectralShape(400, 700, 1), interpolator=colour.LinearInterpolator
-            )
-            sd = sd.extrapolate(colour.SpectralShape(360, 780, 1))
-            xyz = colour.sd_to_XYZ(sd, illuminant=power) / 100
-            expected = colour.XYZ_to_Lab(xyz, colour.XYZ_to_xy(white))
-            np.testing.assert_allclose(lab[5, column].values, expected, atol=0.15)
-
-
 def test_a_difference_is_between_places_and_with_a_library(panel):
     layer = panel["vis"]
     assert float(layer.levkas.delta_e(layer).max()) == 0.0

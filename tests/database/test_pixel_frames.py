@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from levkas.core.files import write_json
 from levkas.database.pixel_frames import (
-    Frame,
     MappingRefused,
     find_map,
     find_position_sigma,
@@ -101,20 +100,6 @@ def test_an_edge_that_went_through_a_map_is_still_on_the_image(database):
     there = map_points(database, "icon1", corners, source="grid", target="vis")
     back = map_points(database, "icon1", there, source="vis", target="grid")
     np.testing.assert_allclose(back, corners, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("text", "frame"),
-    [
-        ("grid", Frame()),
-        ("a", Frame("a")),
-        ("a:R 1", Frame("a", "", "R 1")),
-        ("a@s:550", Frame("a", "s", "550")),
-    ],
-)
-def test_frame_names_are_read(text, frame):
-    assert parse_frame(text) == frame
-    assert parse_frame(str(frame)) == frame
 
 
 @pytest.mark.parametrize("text", ["", ":R", "a:", "a@", "@s", "a@:R"])

@@ -61,7 +61,7 @@ def test_flagged_pixels_do_not_count_and_empty_regions_are_refused():
     assert found.values.tolist() == pytest.approx([0.5] * 3)
     assert found.random == pytest.approx([0.01 / np.sqrt(75)] * 3)
     assert np.allclose(found.gradient, 0)
-    with pytest.raises(RegionRefused, match="no pixel within"):
+    with pytest.raises(RegionRefused):
         mean_of_region(*arrays, make_region(None, (500, 20, 529, 29), None))
 
 

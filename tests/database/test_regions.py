@@ -91,11 +91,3 @@ def test_a_region_without_a_sound_pixel_has_no_mean(planted):
 def test_what_is_no_region_is_refused(planted, region):
     with pytest.raises(regions.RegionRefused):
         planted[0].levkas.region(**region)
-
-
-def test_a_selection_has_regions_of_its_own(planted):
-    layer, values, _ = planted
-    part = layer.isel(x=slice(0, 10), band=[2])
-    found = part.levkas.region(rectangle=(0, 0, 100, 9))
-    assert found["n"].values.tolist() == [100]
-    np.testing.assert_allclose(found["mean"], values[:10, :10, 2].mean(), rtol=1e-12)

@@ -16,12 +16,6 @@ def placed(grid, points=CORNERS):
     return grid.transform.inverse(points).round(9).tolist()
 
 
-def test_without_keys_the_grid_is_the_reference_frame():
-    grid = Grid(FRAME)
-    assert grid.size == FRAME
-    assert np.array_equal(grid.transform.matrix, np.eye(2, 3))
-
-
 @pytest.mark.parametrize(
     ("rotate", "size", "corners"),
     [
@@ -87,5 +81,5 @@ def test_every_reference_pixel_is_on_the_whole_grid(mirror, rotate, size):
     ],
 )
 def test_what_shows_nothing_is_refused(keys):
-    with pytest.raises(GridRefused, match=r"grid\."):
+    with pytest.raises(GridRefused):
         Grid(FRAME, **keys)

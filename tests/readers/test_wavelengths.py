@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from levkas.readers.frames import read_facts, read_frame
-from levkas.readers.wavelengths import RANGE_NM, centres_in_names, read_centres
+from levkas.readers.wavelengths import RANGE_NM, read_centres
 
 NM = [450.0, 550.0, 650.0]
 STACK = np.random.default_rng(1).integers(0, 4096, (3, 20, 24)).astype(np.uint16)
@@ -58,24 +58,6 @@ def test_numbers_that_are_no_wavelengths_in_any_unit_are_not_understood(values, 
 @pytest.mark.parametrize("values", [[0, 1, 2], [1, 2, 3], [0, 0, 0], []])
 def test_numbers_of_bands_are_no_wavelengths(values):
     assert read_centres(values, "Unknown") == read_centres([], "")
-
-
-@pytest.mark.parametrize(
-    ("names", "found"),
-    [
-        (["Band 1 (450.0 nm)", "Band 2 (550.0 nm)", "Band 3 (650.0 nm)"], NM),
-        (["450nm", "LED 550 nanometers", "λ=650 nm"], NM),
-        (["Band 1 (450.0)", "Band 2 (550.0)", "Band 3 (650.0)"], NM),
-        (["450", "550", "650"], NM),
-        (["Band 1", "Band 2", "Band 3"], None),
-        (["450/50 nm", "550/50 nm", "650/50 nm"], None),
-        (["400-500 nm", "500-600 nm", "600-700 nm"], None),
-        (["450 nm", "450 nm", "650 nm"], None),
-    ],
-    ids=str,
-)
-def test_wavelengths_in_names_are_one_for_each_or_none(names, found):
-    assert centres_in_names(names) == (tuple(found) if found else None)
 
 
 # --- where TIFFs have them -----------------------------------------------------------------------
