@@ -59,15 +59,3 @@ def test_any_flipped_bit_of_a_manifest_is_seen(folder):
         changed[bit // 8] ^= 1 << bit % 8
         (folder / NAME).write_bytes(changed)
         assert read_manifest(folder / NAME).problems, f"bit {bit}"
-
-
-def test_a_manifest_that_memory_does_not_hold_is_refused_with_what_it_would_take(
-    folder, monkeypatch
-):
-    write_manifest(folder)
-    size = (folder / NAME).stat().st_size
-    monkeypatch.setattr("levkas.database.manifest.memory_bound", lambda: 5 * size - 1)
-    manifest = read_manifest(folder / NAME)
-    assert manifest.files == {} and manifest.problems
-    monkeypatch.setattr("levkas.database.manifest.memory_bound", lambda: 5 * size)
-    assert read_manifest(folder / NAME).problems == ()

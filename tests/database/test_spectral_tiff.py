@@ -1,4 +1,5 @@
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -7,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from levkas.core.files import spooling
 from levkas.database import spectral_tiff
 from levkas.database.credits import Credits
 from levkas.database.spectral_tiff import (
+    PageSpool,
     TiffHeader,
-    read_mtiff,
     read_stiff,
     read_tiff_pages,
     write_pages,
@@ -209,22 +211,12 @@ def test_a_missing_strip_is_an_error_not_zeros(tmp_path):
         read_stiff(tmp_path / "a.tif")
 
 
-@settings(max_examples=12, deadline=None)
-@given(
-    st.dictionaries(
-        st.text(min_size=1),
-        hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9)),
-        min_size=1,
-        max_size=3,
-    )
-)
-def test_masks_are_read_as_they_were_written(tmp_path_factory, masks):
-    path = tmp_path_factory.mktemp("mtiff") / "m.tif"
-    with tifffile.TiffWriter(path) as tiff:
-        for label, mask in masks.items():
-            text = "".join(f"\\U{ord(c):08x}" for c in label).encode()  # tags of TIFF are ASCII
-            tags = [(65001, "s", len(text), text, True)]
-            tiff.write(255 * mask.astype(np.uint8), photometric="minisblack", extratags=tags)
-    read = read_mtiff(path)
-    assert read.keys() == masks.keys()
-    assert all(np.array_equal(read[k], masks[k]) and read[k].dtype == bool for k in masks)
+def test_a_spool_that_became_shorter_is_refused_and_never_read_as_less(tmp_path):
+    cube = smooth_cube()
+    with ThreadPoolExecutor(2) as pool, spooling(tmp_path, "layer.spool") as handle:
+        spool = PageSpool(handle, cube.shape, cube.dtype, pool)
+        spool.write_rows(cube)
+        handle.flush()
+        handle.truncate(handle.seek(0, 2) - 10)
+        with pytest.raises(OSError):
+            list(spool.pages())

@@ -19,27 +19,25 @@ import pytest
 MOST_SECONDS = 2.0
 """Processor time; a loaded machine takes longer by the clock."""
 MOST_BYTES = 200 << 20
-TYPES = {"B": 1, "H": 3, "I": 4, "Q": 16}
+TYPES = {"B": 1, "H": 3, "I": 4}
 DATA = 512
 
 
-def tiff(width=8, height=8, data=bytes(64), *, following=0, big=False, **more):
+def tiff(width=8, height=8, data=bytes(64), *, following=0, **more):
     """Return a TIFF of one directory and one strip at byte `DATA`; `more` maps t273 … to (type, values)."""
     tags = {256: ("I", [width]), 257: ("I", [height]), 258: ("H", [8]), 259: ("H", [1]), 262: ("H", [1]),
             273: ("I", [DATA]), 277: ("H", [1]), 278: ("I", [height]), 279: ("I", [len(data)])}  # fmt: skip
     tags |= {int(code[1:]): value for code, value in more.items()}
     tags = {code: value for code, value in tags.items() if value}
-    wide, entries, outside = "Q" if big else "I", b"", b""
+    entries, outside = b"", b""
     for code, (kind, values) in sorted(tags.items()):
         value = struct.pack(f"<{len(values)}{kind}", *values)
-        if len(value) > (8 if big else 4):
+        if len(value) > 4:
             outside += value
-            value = struct.pack("<" + wide, DATA + len(data) + len(outside) - len(value))
-        entries += struct.pack("<HH" + wide, code, TYPES[kind], len(values))
-        entries += value.ljust(8 if big else 4, b"\0")
-    head = b"II+\0\x08\0\0\0" + struct.pack("<Q", 16) if big else b"II*\0" + struct.pack("<I", 8)
-    count = struct.pack("<Q" if big else "<H", len(tags))
-    whole = head + count + entries + struct.pack("<" + wide, following)
+            value = struct.pack("<I", DATA + len(data) + len(outside) - len(value))
+        entries += struct.pack("<HHI", code, TYPES[kind], len(values)) + value.ljust(4, b"\0")
+    head = b"II*\0" + struct.pack("<IH", 8, len(tags))
+    whole = head + entries + struct.pack("<I", following)
     return whole.ljust(DATA, b"\0") + data + outside
 
 
@@ -79,7 +77,7 @@ def zeros(megabytes):
     return b"".join(squeezer.compress(block) for _ in range(megabytes)) + squeezer.flush()
 
 
-def jpeg(width, height, scans=1, exif=b""):
+def jpeg(width, height, scans=1):
     """Return a gray JPEG of another size than its pixels, whose further scans are empty."""
     from PIL import Image
 
@@ -90,8 +88,6 @@ def jpeg(width, height, scans=1, exif=b""):
     data[at + 5 : at + 9] = struct.pack(">HH", height, width)
     if scans > 1:
         data[-2:] = bytes(data[data.rindex(b"\xff\xda") : -2]) * scans + b"\xff\xd9"
-    if exif:
-        data[2:2] = b"\xff\xe1" + struct.pack(">H", len(exif) + 8) + b"Exif\0\0" + exif
     return bytes(data)
 
 
@@ -138,11 +134,9 @@ BOMBS = {
     "tiff without height": ("E_SIZE", "a.tif", lambda: tiff(8, 0)),
     "tiff in a ring": ("E_UNREADABLE", "a.tif", ring),
     "tiff whose next page is behind its end": ("E_TRUNCATED", "a.tif", lambda: tiff(following=0xFFFFFFF0)),
-    "bigtiff whose next page is behind its end": ("E_TRUNCATED", "a.tif", lambda: tiff(following=2**64 - 8, big=True)),
     "tiff of 20,000 pages": ("E_SIZE", "a.tif", many_pages),
     "tiff of pages over one another": ("E_UNREADABLE", "a.tif", overlapping),
     "tiff of 60,000 tags": ("E_UNREADABLE", "a.tif", lambda: b"II*\0\x08\0\0\0" + struct.pack("<H", 60_000) + bytes(900)),
-    "tiff cut inside its directory": ("E_TRUNCATED", "a.tif", lambda: tiff()[:40]),
     "tiff whose strip lies behind its end": ("E_TRUNCATED", "a.tif", lambda: tiff(t273=("I", [1 << 30]))),
     "tiff whose strips are all the same bytes": ("E_UNREADABLE", "a.tif", lambda: tiff(4096, 2000, bytes(4096), **SAME)),
     "tiff of an impossible ratio": ("E_SIZE", "a.tif", lambda: packed(8, zlib.compress(bytes(40_000)), 40_000)),
@@ -151,42 +145,26 @@ BOMBS = {
     "jpeg of 65,000 in 8 pixels of a tiff": ("E_SIZE", "a.tif", lambda: packed(7, jpeg(65_000, 65_000))),
     "tiff of an unknown codec": ("E_UNREADABLE", "a.tif", lambda: packed(777, bytes(64))),
     "tiff of a tile of a gigapixel": ("E_SIZE", "a.tif", one_tile_of_a_gigapixel),
-    "png of 2,000 million rows": ("E_SIZE", "a.png", lambda: png(0x7FFFFFFF, 0x7FFFFFFF)),
     "png that its bytes cannot hold": ("E_SIZE", "a.png", lambda: png(30_000, 30_000)),
     "png of a profile of 50 MB": (None, "a.png", lambda: png(8, 8, name=b"iCCP", extra=b"icc\0\0" + zeros(50))),
     "png of exif walked 10 million times": (None, "a.png", lambda: png(8, 8, name=b"eXIf", extra=exif_of(3200))),
-    "jpeg of exif walked 7 million times": (None, "a.jpg", lambda: jpeg(16, 16, exif=exif_of(2700))),
     "jpeg of 65,000 columns": ("E_SIZE", "a.jpg", lambda: jpeg(65_000, 65_000)),
     "jpeg of 400 scans": ("E_SIZE", "a.jpg", lambda: jpeg(5000, 5000, 400)),
     "cube of 10^12 lines": ("E_SIZE", "a.hdr", lambda: envi(lines=10**12)),
-    "cube of a million digits": ("E_UNREADABLE", "a.hdr", lambda: envi(samples="1" * 1_000_000 + "x")),
     "header of 10 MB": ("E_SIZE", "a.hdr", lambda: envi("description = {" + "a" * (10 << 20) + "}")),
     "header of semicolons": ("E_UNREADABLE", "a.hdr", lambda: envi('a = {"' + " ;}" * 300_000 + "}", samples="none")),
-    "header of blanks": ("E_UNREADABLE", "a.hdr", lambda: envi("a = a" + " " * 1_000_000 + "x", samples="none")),
     "raw of noise": ("E_UNREADABLE", "a.nef", lambda: NOISE),
-    "dng of 60,000 columns": ("E_UNREADABLE", "a.dng", lambda: dng(60_000, 1)),
     "dng of lossless jpeg that is none": ("E_TRUNCATED", "a.dng", lambda: dng(30_000, 7)),
     "empty file": ("E_TRUNCATED", "a.tif", lambda: b""),
-    "folder": ("E_UNREADABLE", "a.tif", lambda: os.mkdir),
-    "pipe": ("E_UNREADABLE", "a.tif", lambda: os.mkfifo),
     "device": ("E_UNREADABLE", "a.tif", lambda: lambda path: path.symlink_to("/dev/zero")),
-    "link to itself": ("E_UNREADABLE", "a.tif", lambda: lambda path: path.symlink_to(path)),
     "hdf5 of noise": ("E_UNREADABLE", "a.h5", lambda: b"\x89HDF\r\n\x1a\n" + NOISE),
     "matlab of noise": ("E_UNREADABLE", "a.mat", lambda: b"MATLAB 5.0 MAT-file, Platform".ljust(128) + NOISE),
-    "numpy array": ("E_UNREADABLE", "a.npy", lambda: b"\x93NUMPY\x01\0" + bytes(100)),
-    "jpeg 2000": ("E_UNREADABLE", "a.jp2", lambda: b"\0\0\0\x0cjP  \r\n\x87\n" + NOISE),
     "toml of more than a megabyte": ("E_SIZE", "a.toml", lambda: "a = 1\n" * 200_000),
     "toml of 10,000 levels": ("E_SIZE", "a.toml", lambda: "a = " + "[" * 10_000 + "]" * 10_000),
     "toml of a key of 20,000 parts": ("E_SIZE", "a.toml", lambda: ".".join("a" * 20_000) + " = 1"),
-    "toml of a key twice": ("E_VALUE", "a.toml", lambda: "a = 1\na = 2\n"),
-    "toml that is a device": ("E_UNREADABLE", "a.toml", lambda: lambda path: path.symlink_to("/dev/zero")),
     "manifest of 20 MB": ("E_SIZE", "a.csv", lambda: "file,exposure_s\n" + "a.tif,1\n" * 2_500_000),
     "manifest of a cell of a megabyte": ("E_UNREADABLE", "a.csv", lambda: "file,exposure_s\n" + "a" * 1_000_000 + ",1\n"),
     "json of 100,000 levels": ("E_SIZE", "a.json", lambda: "[" * 100_000 + "]" * 100_000),
-    "json of NaN": ("E_UNREADABLE", "a.json", lambda: '{"a": NaN}'),
-    "json of 100,000 digits": ("E_UNREADABLE", "a.json", lambda: '{"a": ' + "9" * 100_000 + "}"),
-    "json of a key twice": ("E_UNREADABLE", "a.json", lambda: '{"a": 1, "a": 2}'),
-    "json that is a pipe": ("E_UNREADABLE", "a.json", lambda: os.mkfifo),
 }  # fmt: skip
 """Code, name and content; a code of None: what is hostile is no part of the image, which is read or refused."""
 

@@ -46,10 +46,7 @@ def test_a_ripple_stack_is_read_in_any_order_and_type(tmp_path, dtype, record):
     ("keys", "field"),
     [
         ({"width": "many"}, "width"),
-        ({"width": "999999999999"}, "width, height, maps"),
         ({"data-length": 3}, "data-type, data-length"),
-        ({"data-type": "text"}, "data-type, data-length"),
-        ({"byte-order": "dont-care"}, "byte-order"),
         ({"record-by": "dont-care"}, "record-by"),
         ({"depth": 5}, "width, height, maps"),
     ],
@@ -64,14 +61,6 @@ def test_numbers_that_are_not_there_are_refused(tmp_path):
     assert refused_field(path) == "width, height, maps"
     (tmp_path / "icon.raw").unlink()
     assert refused_field(path) == "width, height, maps"
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".dms"])
-def test_tables_are_refused(tmp_path, suffix):
-    path = tmp_path / f"icon{suffix}"
-    path.write_text("row;column;Pb\n0;0;1\n")
-    with pytest.raises(UnreadableCapture):
-        kind_of(path)
 
 
 def test_maps_of_an_hdf5_file_of_pymca_are_read_and_links_are_not_followed(tmp_path):

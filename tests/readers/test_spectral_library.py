@@ -73,24 +73,6 @@ def test_a_spectrum_of_asd_is_reflectance_by_its_white(tmp_path):
             levkas.read_spectra(tmp_path / f"{name}.asd")
 
 
-def test_text_of_the_usgs_library_finds_its_wavelengths_and_deleted_channels(tmp_path):
-    path = tmp_path / "splib07a_Azurite_WS316_BECKb_AREF.txt"
-    path.write_text(
-        " splib07a Record=1442: Azurite WS316        BECKb AREF\n 0.2\n-1.2300000e+034\n 0.4\n"
-    )
-    with pytest.raises(Refused):
-        levkas.read_spectra(path)
-    for name, numbers in (("BECK", "0.4\n0.5\n0.6"), ("ASD", "0.4\n0.5\n0.6\n0.7")):
-        (tmp_path / f"splib07a_Wavelengths_{name}.txt").write_text(
-            f" splib07a Record=1: Wavelengths\n{numbers}\n"
-        )
-    read = levkas.read_spectra(path)
-    assert read.wavelength.values.round(6).tolist() == [400.0, 500.0, 600.0]
-    np.testing.assert_allclose(read.values, [[0.2, np.nan, 0.4]])
-    assert read.spectrum.item().startswith("Azurite WS316")
-    assert levkas.read_spectra(path, wavelengths=[1, 2, 3]).wavelength.values.tolist() == [1, 2, 3]
-
-
 @pytest.mark.parametrize("content", [b"", b"a,b\nx,y\n", b"ENVI\n", b"\x00\xff" * 300])
 def test_files_that_are_none_are_refused_by_name(tmp_path, content):
     (tmp_path / "no.csv").write_bytes(content)

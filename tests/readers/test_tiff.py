@@ -1,5 +1,4 @@
 import struct
-from fractions import Fraction
 
 import imagecodecs
 import numpy as np
@@ -32,35 +31,23 @@ def set_tag(path, code, *, count=None, value=None):
     path.write_bytes(data)
 
 
-@pytest.mark.parametrize("compression", [None, "zlib", "lzw", "packbits", "zstd", "lzma"])
 @pytest.mark.parametrize("dtype", ["u1", "u2", "f4"])
-def test_a_tiff_is_read_as_it_was_written(tmp_path, compression, dtype):
-    path = tmp_path / "frame.tif"
-    image = CODES.astype(dtype)
-    predictor = compression in ("zlib", "lzw", "zstd") and dtype != "f4"
-    tifffile.imwrite(path, image, compression=compression, predictor=predictor, rowsperstrip=10)
-    assert np.array_equal(read_frame(path), image)
-    facts = read_facts(path)
-    assert (facts.kind, facts.shape, facts.pages) == ("tiff", (64, 96), 1)
-    assert np.dtype(facts.dtype) == image.dtype and facts.bits == 8 * image.dtype.itemsize
-
-
 @pytest.mark.parametrize(
     "options",
-    [
-        {"byteorder": ">"},
-        {"bigtiff": True},
-        {"tile": (16, 32)},
-        {"tile": (16, 32), "compression": "zlib"},
-    ],
+    [{}, {"compression": "lzw"}, {"compression": "packbits"}, {"compression": "zstd"},
+     {"byteorder": ">", "bigtiff": True}, {"tile": (16, 32), "compression": "zlib"}],
     ids=str,
-)
-def test_every_layout_of_a_page_gives_native_contiguous_numbers(tmp_path, options):
-    path = tmp_path / "frame.tif"
-    tifffile.imwrite(path, CODES, **options)
-    values = read_frame(path)
-    assert np.array_equal(values, CODES)
-    assert values.dtype == np.uint16 and values.dtype.isnative and values.flags.c_contiguous
+)  # fmt: skip
+def test_a_tiff_is_read_as_it_was_written_in_native_contiguous_numbers(tmp_path, options, dtype):
+    path, image = tmp_path / "frame.tif", CODES.astype(dtype)
+    predictor = options.get("compression") in ("lzw", "zstd") and dtype != "f4"
+    rows = {} if "tile" in options else {"rowsperstrip": 10}
+    tifffile.imwrite(path, image, predictor=predictor, **rows, **options)
+    facts, values = read_facts(path), read_frame(path)
+    assert np.array_equal(values, image) and values.dtype == image.dtype
+    assert values.dtype.isnative and values.flags.c_contiguous
+    assert (facts.kind, facts.shape, facts.pages) == ("tiff", (64, 96), 1)
+    assert np.dtype(facts.dtype) == image.dtype and facts.bits == 8 * image.dtype.itemsize
 
 
 @pytest.mark.parametrize("planar", ["contig", "separate"])
@@ -119,12 +106,6 @@ def test_a_stack_behind_one_page_is_not_taken_for_one_frame(tmp_path, options):
         assert read_facts(path).pages == 4
 
 
-def test_where_zero_is_white_more_is_made_brighter(tmp_path):
-    path = tmp_path / "radiograph.tif"
-    tifffile.imwrite(path, CODES, photometric="miniswhite")
-    assert np.array_equal(read_frame(path), 65535 - CODES)
-
-
 @pytest.mark.parametrize("photometric", ["palette", "separated", "cielab"])
 def test_colours_that_are_no_counts_are_refused_with_a_way_out(tmp_path, photometric):
     path = tmp_path / "print.tif"
@@ -174,32 +155,10 @@ def test_a_jpeg_strip_cut_short_is_refused(tmp_path):
     path = tmp_path / "photo.tif"
     image = RNG.integers(0, 255, (64, 96, 3)).astype(np.uint8)
     tifffile.imwrite(path, image, compression="jpeg", photometric="rgb", rowsperstrip=64)
-    assert read_frame(path).shape == (64, 96, 3)
     with tifffile.TiffFile(path) as tiff:
         count = tiff.pages[0].databytecounts[0]
     set_tag(path, 279, value=count // 2)
     assert refusal(path).code == "E_TRUNCATED"
-
-
-def test_levels_pattern_exposure_and_date_come_from_tags(tmp_path):
-    path = tmp_path / "mosaic.tif"
-    tags = [
-        (33421, "H", 2, (2, 2), True),
-        (33422, "B", 4, (1, 2, 0, 1), True),
-        (50713, "H", 2, (2, 2), True),
-        (50714, "2I", 4, (64, 1, 66, 1, 68, 1, 70, 1), True),
-        (50717, "I", 1, 4095, True),
-        (33434, "2I", 1, (1, 125), True),
-        (34855, "H", 1, 200, True),
-        (272, "s", 0, "Bench", True),
-    ]
-    stamp = "2019:02:08 17:43:35"
-    tifffile.imwrite(path, CODES, photometric=32803, extratags=tags, datetime=stamp, metadata=None)
-    facts = read_facts(path)
-    assert (facts.pattern, facts.black, facts.saturation) == ("GBRG", 67.0, 4095.0)
-    assert facts.blacks.pattern == ((64.0, 66.0), (68.0, 70.0))
-    assert facts.exposure_s == float(Fraction(1, 125)) and facts.iso == 200
-    assert (facts.captured, facts.model) == ("2019-02-08T17:43:35", "Bench")
 
 
 def test_the_five_lenses_say_their_bands_levels_and_exposures(real_data):

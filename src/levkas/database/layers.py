@@ -94,17 +94,6 @@ class Layer:
         return {key: value for key, value in facts.items() if value is not None}
 
 
-def entry_of_layer(
-    layer: Layer, shape: tuple[int, int, int], quantity: str, verdict: str, tiff: Path
-) -> Entry:
-    """Return the layer's row of the catalogue."""
-    height, width, count = shape
-    return Entry(
-        *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
-        *(quantity, verdict, hash_file(tiff), layer.kind),
-    )
-
-
 def write_layer(
     database: str | Path,
     layer: Layer,
@@ -174,7 +163,12 @@ def write_layer(
         write_preview(png, picture.rgb, description=picture.description, px_per_mm=scale)
         written.append(png)
     written += sorted(p for p in (root / layer.name).rglob("*") if p.is_file())
-    return entry_of_layer(layer, rows.shape, rows.quantity, verdict, written[0]), tuple(written)
+    height, width, count = rows.shape
+    entry = Entry(
+        *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
+        *(rows.quantity, verdict, hash_file(written[0]), layer.kind),
+    )
+    return entry, tuple(written)
 
 
 def write_tiffs(base: Path, layer: Layer, rows: Cube | CubeRows) -> list[Path]:

@@ -19,14 +19,12 @@ from typing import BinaryIO
 
 from levkas.core.digests import hash_file
 from levkas.core.files import DROPPINGS, PARTIAL, write_changed
-from levkas.core.machine import count_threads, memory_bound
+from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
 from levkas.core.text import DEEPEST
 from levkas.database.containment import stays_inside
 
 NAME = "manifest-sha256.txt"
-MEMORY_PER_BYTE = 5
-"""Of memory that the files of a manifest take, a byte of its text: 2.9 measured, 4.3 where names are a few letters."""
 LARGEST_REMOTE = 256 << 20
 """Bytes of a manifest on a server, whose size is the server's choice: two million files."""
 LONGEST_LINE = 1 << 16
@@ -115,8 +113,6 @@ def read_manifest(path: str | Path) -> Manifest:
         size = path.stat().st_size
         if not isinstance(path, Path) and size > LARGEST_REMOTE:
             return _damaged(path, f"it has {size:,} bytes; on a server at most {LARGEST_REMOTE:,}")
-        if (needed := size * MEMORY_PER_BYTE) > memory_bound():
-            return _damaged(path, f"its {size:,} bytes would take {needed / 1e9:.1f} GB of memory")
         if isinstance(path, Path):
             with path.open("rb") as file:
                 return _read(path, file)

@@ -146,7 +146,8 @@ def writing_layer(
     import zarr
 
     root = Path(root)
-    write_root(root)
+    # Without an index: what is written next would outdate it.
+    write_changed(root / "zarr.json", to_json(ROOT).encode())
     chunks, shards = chunks_of(shape)
     with publishing(root / name) as folder:
         group = zarr.create_group(folder_store(folder), zarr_format=3)
@@ -177,11 +178,6 @@ def writing_layer(
         writer = LayerWriter(arrays, shape, shards[0])
         yield writer
         writer.close()
-
-
-def write_root(root: Path) -> None:
-    """Make the store of an object, without an index: what is written next would outdate it."""
-    write_changed(root / "zarr.json", to_json(ROOT).encode())
 
 
 def write_index(root: str | Path) -> Path:

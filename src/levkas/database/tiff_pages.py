@@ -18,7 +18,7 @@ from levkas.core.text import missing_path
 from levkas.core.threads import each
 from levkas.readers.facts import COPY_AGAIN, UnreadableCapture, check_ratio
 from levkas.readers.tiff import LARGEST_RATIO, check_strips
-from levkas.readers.tiff_directories import kinds_of_pages
+from levkas.readers.tiff_directories import directories_of
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
@@ -145,11 +145,11 @@ def opening_tiff(path: Path) -> Iterator[list[TiffPage]]:
     try:
         if path.exists() and not path.is_file():  # to open a pipe waits for ever
             raise ValueError("it is not a file")
-        kinds = kinds_of_pages(path)
+        count = len(directories_of(path))
         with _tiff_file(path) as tiff:
             pages: list[Any] = list(tiff.pages)
-            if len(pages) != len(kinds) or not pages:
-                raise ValueError(f"{len(pages)} of its {len(kinds)} pages can be read")
+            if len(pages) != count or not pages:
+                raise ValueError(f"{len(pages)} of its {count} pages can be read")
             for index, page in enumerate(pages):
                 if not prod(page.chunked):
                     raise ValueError(f"page {index} declares no pixels")

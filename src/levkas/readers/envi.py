@@ -20,7 +20,6 @@ from levkas.readers.envi_header import (
     find_data,
     find_header,
     parse_header,
-    parse_number,
     setting_facts,
 )
 from levkas.readers.envi_values import value_facts
@@ -269,12 +268,6 @@ def _layout_of(header: EnviHeader) -> Layout:
     if header.whole("file compression", least=0, default=0):
         fix = "Save the cube again without compression."
         raise header.refusal("the data are compressed", "file compression", 1, 0, fix)
-    for key in ("major frame offsets", "minor frame offsets"):
-        text = header.text(key)
-        if any(parse_number(v) != 0 for v in re.split(r"[,\s]+", text) if v):
-            message = "gaps between lines or bands are not supported"
-            fix = "Save the cube again without frame offsets."
-            raise header.refusal(message, key, text, "0, 0", fix)
     interleave = header.text("interleave").lower() or ("bsq" if bands == 1 else "")
     if interleave not in ("bil", "bip", "bsq"):
         fix = "Write `interleave = bil`, bip or bsq."

@@ -35,16 +35,6 @@ __all__ = [
 ]
 
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-FOREIGN = {
-    b"\x89HDF\r\n\x1a\n": "HDF5 by another name than .h5, .hdf5 or .mat",
-    b"\x93NUMPY": "a NumPy array",
-    b"SIMPLE  =": "FITS",
-    b"CDF\x01": "netCDF",
-    b"CDF\x02": "netCDF",
-    b"\0\0\0\x0cjP  ": "JPEG 2000",
-    b"\xff\x4f\xff\x51": "JPEG 2000",
-}
-"""Formats that are not read, by their first bytes."""
 LARGEST_SAMPLE, BLOCKS, BLOCK = 16 << 20, 8, 60
 """Samples of a glimpse of a frame; blocks they are taken from, and what their sides are multiples of."""
 MOST_FACTS = 1 << 15
@@ -115,9 +105,6 @@ def kind_of(path: str | Path) -> str:
     if suffix in STACKS:
         return STACKS[suffix]
     named = next((kind for kind, row in READERS.items() if head.startswith(row.signatures)), "")
-    for signature, name in FOREIGN.items():
-        if not named and head.startswith(signature):
-            raise _foreign(path, name)
     if suffix == ".hdr" or (suffix in DATA_SUFFIXES and find_header(path)):
         return "envi"
     if suffix in RAW_SUFFIXES and named in ("", "tiff"):
@@ -126,20 +113,13 @@ def kind_of(path: str | Path) -> str:
         return named
     if find_header(path):
         return "envi"
-    if suffix in (".csv", ".dms"):
-        raise unreadable(
-            path,
-            "tables are no pictures",
-            found=suffix,
-            expected=EXPECTED,
-            fix="Export maps as a TIFF with one page per map, as ENVI, Ripple or HDF5.",
-        )
     raise unreadable(
         path,
         "the file format is not supported",
+        field="format",
         found=f"first bytes {head[:8].hex(' ')}",
         expected=EXPECTED,
-        fix="Remove it from `files`, or put the header of the cube beside it.",
+        fix="Save it as a TIFF, a page a band, or as ENVI with its header beside it, and name that file in `files`.",
     )
 
 
@@ -168,19 +148,6 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     except UnreadableCapture:
         return (path,)
     return cube.facts.path, cube.data
-
-
-def _foreign(path: Path, name: str) -> UnreadableCapture:
-    """Return the refusal of a format that is known and not read."""
-    return unreadable(
-        path,
-        f"{name} is not supported",
-        field="format",
-        found=name,
-        expected=EXPECTED,
-        fix="Save it as a TIFF, a page a band, or a cube as ENVI (spectral.envi.save_image in Python, "
-        "enviwrite in MATLAB), and name that file in `files`.",
-    )
 
 
 def read_facts(path: str | Path) -> Facts:
@@ -294,7 +261,7 @@ def read_sample(path: str | Path, *, most: int = LARGEST_SAMPLE) -> np.ndarray:
     Parameters
     ----------
     most : int
-        Samples. Of PNG, JPEG, camera raw and a TIFF in one strip all are decoded, few are returned.
+        Samples: all are decoded, few are returned.
 
     Returns
     -------
@@ -310,10 +277,6 @@ def read_sample(path: str | Path, *, most: int = LARGEST_SAMPLE) -> np.ndarray:
     pixels = most // prod(facts.shape[2:])
     columns = _spread(facts.shape[1], pixels // (BLOCKS * BLOCK))
     rows = _spread(facts.shape[0], pixels // sum(stop - start for start, stop in columns))
-    if facts.kind == "tiff":
-        from levkas.readers.tiff import read_tiff_parts
-
-        return read_tiff_parts(Path(path), rows, columns)
     values = read_frame(path)
     lines = [[values[slice(*r), slice(*c)] for c in columns] for r in rows]
     return np.concatenate([np.concatenate(line, axis=1) for line in lines])

@@ -291,21 +291,16 @@ def _check_parts(path: Path) -> None:
 
 def _check_layout(path: Path, page: Any) -> None:
     """Refuse a page of floats, which LibRaw scales by the most of each file, and colours in planes, which it mixes."""
-    found = {
-        "SampleFormat": "floats" if page.sampleformat == FLOATS else "",
-        "PlanarConfiguration": "planes"
-        * (page.planarconfig == PLANES and page.samplesperpixel > 1),
-    }
-    for field, kind in found.items():
-        if kind:
-            raise unreadable(
-                path,
-                f"a raw image of {kind} is not read",
-                field=field,
-                found=kind,
-                expected="integers, the samples of a pixel side by side",
-                fix=CONVERT_AGAIN,
-            )
+    if page.sampleformat == FLOATS:
+        raise _unlike(path, "SampleFormat", "floats", "integers")
+    if page.planarconfig == PLANES and page.samplesperpixel > 1:
+        raise _unlike(path, "PlanarConfiguration", "planes", "the samples of a pixel side by side")
+
+
+def _unlike(path: Path, field: str, found: str, expected: str) -> Exception:
+    """Return the refusal of a raw image that LibRaw would change."""
+    message = "a raw image of this layout is not read"
+    return unreadable(path, message, field=field, found=found, expected=expected, fix=CONVERT_AGAIN)
 
 
 def _check_page(path: Path, tiff: Any, page: Any) -> None:
@@ -317,14 +312,8 @@ def _check_page(path: Path, tiff: Any, page: Any) -> None:
         (problem,) = refused.problems
         raise truncated(path, message, field, problem.found, str(problem.expected)) from None
     if not page.is_tiled and len(page.dataoffsets) > 1:  # LibRaw reads the first, and leaves zeros
-        raise unreadable(
-            path,
-            "a raw image of lossless JPEG in several strips is not read",
-            field="RowsPerStrip",
-            found=f"{len(page.dataoffsets)} strips",
-            expected="tiles, or one strip",
-            fix=CONVERT_AGAIN,
-        )
+        strips = f"{len(page.dataoffsets)} strips of lossless JPEG"
+        raise _unlike(path, "RowsPerStrip", strips, "tiles, or one strip")
     high = page.tilelength if page.is_tiled else page.rowsperstrip
     wide = page.tilewidth if page.is_tiled else page.imagewidth
     across = ceil(page.imagewidth / wide)
@@ -339,14 +328,8 @@ def _check_page(path: Path, tiff: Any, page: Any) -> None:
             found_text = f"{found} samples in part {number}"
             raise truncated(path, message, field, found_text, f"{least} in a JPEG")
         if page.photometric == LINEAR and components != page.samplesperpixel:
-            raise unreadable(  # LibRaw would mix the colours
-                path,
-                "the colours of the raw image are not the components of its JPEG",
-                field="SamplesPerPixel",
-                found=f"{components} in part {number}",
-                expected=f"{page.samplesperpixel}",
-                fix=CONVERT_AGAIN,
-            )
+            mixed = f"{components} components of the JPEG in part {number}"
+            raise _unlike(path, "SamplesPerPixel", mixed, f"{page.samplesperpixel}")
 
 
 def _lossless_size(data: bytes) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Libraries of spectra: ENVI `.sli`, ASD FieldSpec, text of the USGS library, CSV."""
+"""Libraries of spectra: ENVI `.sli`, as the USGS library has them too, ASD FieldSpec, CSV."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import csv
 import io
 import re
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,35 +22,26 @@ from levkas.readers.wavelengths import read_centres
 if TYPE_CHECKING:
     import xarray
 
-DELETED = -1e30
-"""Below it a value of the USGS library is none: deleted channels are −1.23e34 (Kokaly et al. 2017, 10.3133/ds1035)."""
 ASD_HEADER, ASD_TYPES = 484, {0: "f4", 1: "i4", 2: "f8"}
 ASD_RAW, ASD_REFLECTANCE = 0, 1
 LARGEST_ASD = 4 << 20
-EXPECTED = (
-    "an ENVI spectral library (.sli or its .hdr), a file of ASD, text of the USGS library, or a CSV"
-)
+EXPECTED = "an ENVI spectral library (.sli or its .hdr), a file of ASD, or a CSV"
 NM_FROM = 100.0
 """Wavelengths of text below it are µm: no library has nanometres that short."""
 
 
-def read_spectra(
-    path: str | Path, *, wavelengths: Sequence[float] | None = None
-) -> xarray.DataArray:
+def read_spectra(path: str | Path) -> xarray.DataArray:
     """Read a library of spectra.
 
     Parameters
     ----------
     path : path
-        ENVI's ``.sli`` or its header; ``.asd``; a ``.txt`` of the USGS library, whose wavelengths lie in a file of their own
-        (``…Wavelengths….txt`` beside it, of as many channels); a CSV of wavelength and a column a spectrum.
-    wavelengths : sequence of float, optional
-        nm, for a file that has none.
+        ENVI's ``.sli`` or its header; ``.asd``; a CSV of wavelength and a column a spectrum.
 
     Returns
     -------
     spectra : xarray.DataArray, (spectrum, wavelength), float64
-        Reflectance, 1.0 = perfect diffuser; NaN where a channel was deleted. `wavelength`, nm, rises; `spectrum` has the names.
+        Reflectance, 1.0 = perfect diffuser; NaN where there is none. `wavelength`, nm, rises; `spectrum` has the names.
 
     Raises
     ------
@@ -78,7 +68,7 @@ def read_spectra(
     elif re.match(rb"as[d\d]|ASD", head):
         nm, values, names = _read_asd(path)
     else:
-        nm, values, names = _read_text(path, wavelengths)
+        nm, values, names = _read_text(path)
     order = np.argsort(nm, kind="stable")
     facts = {"units": "nm", "standard_name": "radiation_wavelength"}
     return xarray.DataArray(
@@ -207,21 +197,8 @@ def _read_asd(path: Path) -> Library:
     return first + step * np.arange(count), values[None], [path.stem]
 
 
-def _read_text(path: Path, wavelengths: Sequence[float] | None) -> Library:
+def _read_text(path: Path) -> Library:
     text = read_text(path, EXPECTED)
-    rows = text.split("\n")
-    if "," not in text and re.search(r"Record\s*=?\s*\d+", rows[0]):
-        values = _numbers(path, rows[1:])
-        nm = (
-            np.asarray(wavelengths, float)
-            if wavelengths is not None
-            else _usgs_wavelengths(path, len(values))
-        )
-        if len(nm) != len(values):
-            what = "the wavelengths do not match the channels"
-            raise _refused(path, what, f"{len(nm)}", f"{len(values)}")
-        name = re.sub(r".*Record\s*=?\s*\d+\s*:?", "", rows[0]).strip() or path.stem
-        return nm, np.where(values < DELETED, np.nan, values)[None], [name]
     try:
         table, head = parse_spectra(text)
         if not are_spectra(table):
@@ -235,27 +212,6 @@ def _read_text(path: Path, wavelengths: Sequence[float] | None) -> Library:
     )
     scale = 1000.0 if table[-1, 0] < NM_FROM else 1.0
     return table[:, 0] * scale, table[:, 1:].T, names
-
-
-def _usgs_wavelengths(path: Path, channels: int) -> np.ndarray:
-    """Return the wavelengths of a text of the USGS library, nm, by the one file of as many channels beside it."""
-    found = []
-    for beside in sorted(path.parent.glob("*avelengths*.txt")):
-        numbers = _numbers(beside, read_text(beside, "wavelengths").split("\n")[1:])
-        if len(numbers) == channels:
-            found.append(numbers)
-    if len(found) != 1:
-        what = f"{len(found)} files of {channels} wavelengths beside it"
-        expected = "one, as …_Wavelengths_….txt, or the argument `wavelengths`, nm"
-        raise _refused(path, "the wavelengths of this spectrum are not known", what, expected)
-    return found[0] * (1000.0 if found[0].max() < NM_FROM else 1.0)
-
-
-def _numbers(path: Path, rows: Sequence[str]) -> np.ndarray:
-    try:
-        return np.array([float(row) for row in rows if row.strip()])
-    except ValueError as error:
-        raise _refused(path, "these are no numbers, one a line", str(error)) from None
 
 
 def _refused(path: Path, what: str, found: str, expected: str = EXPECTED) -> Exception:

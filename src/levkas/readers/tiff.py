@@ -47,7 +47,6 @@ ALPHAS = (1, 2)
 """Of tag ExtraSamples: colours are multiplied by the sample, or not; 0 is any other sample, such as a further band."""
 MICASENSE_FULL = 65520.0
 """MicaSense cameras count 12 bits and store them times 16; no tag says so."""
-Span = tuple[int, int]
 
 
 def read_tiff_facts(path: Path) -> Facts:
@@ -99,36 +98,6 @@ def read_tiff_pages(path: Path) -> Iterator[np.ndarray]:
             yield _decode(path, tiff, pages, index)
 
 
-def read_tiff_parts(path: Path, rows: Sequence[Span], columns: Sequence[Span]) -> np.ndarray:
-    """Decode parts of the first page, (rows, columns) or (rows, columns, samples), joined.
-
-    Only the strips or tiles that hold wanted rows are decoded; samples in planes of their own, or a
-    page in one piece, are decoded whole.
-
-    Parameters
-    ----------
-    rows, columns : sequence of (start, stop)
-        In order, not over one another.
-    """
-    taken = np.concatenate([np.arange(start, stop) for start, stop in columns])
-    with _opened(path) as (tiff, pages):
-        page = tiff.pages[pages[0]]
-        shape = _checked_shape(path, tiff, page, 0)
-        wanted = np.zeros(shape[0], bool)
-        for start, stop in rows:
-            wanted[start:stop] = True
-        planes = page.planarconfig == 2 and page.samplesperpixel > 1
-        if planes or (len(page.dataoffsets) < 2 and not page.is_contiguous):
-            return np.ascontiguousarray(_decode(path, tiff, pages, 0)[wanted][:, taken])
-        check_memory(path, int(wanted.sum()) * prod(shape[1:]), page.dtype.itemsize)
-        if page.is_contiguous:
-            stored, start = page.dtype.newbyteorder(tiff.byteorder), page.dataoffsets[0]
-            out = np.memmap(path, stored, "r", start, shape)[wanted]
-        else:
-            out = _decode_rows(path, tiff, page, wanted).reshape(-1, *shape[1:])
-        return _as_counts(page, page, out[:, taken])
-
-
 def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
     if index >= len(pages):
         raise unreadable(
@@ -150,30 +119,6 @@ def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
     if values.shape != shape:
         raise unreadable(path, "the TIFF does not match its tags", found=str(values.shape))
     return _as_counts(page, tiff.pages[pages[0]], values)
-
-
-def _decode_rows(path: Path, tiff: Any, page: Any, wanted: np.ndarray) -> np.ndarray:
-    """Decode the strips or tiles that hold wanted rows, (rows, width, samples)."""
-    _check_endings(path, tiff, page)
-    high = page.tilelength if page.is_tiled else page.rowsperstrip
-    wide = page.tilewidth if page.is_tiled else page.imagewidth
-    across = ceil(page.imagewidth / wide)
-    check_memory(path, prod(page.chunks), page.dtype.itemsize)
-    decode, tables = page.decode, page.jpegtables  # which read tags, and so move the handle
-    places = np.cumsum(wanted) - 1
-    out = np.empty((int(wanted.sum()), page.imagewidth, page.samplesperpixel), page.dtype)
-    for index, start in enumerate(page.dataoffsets):
-        y, x = index // across * high, index % across * wide
-        rows = np.flatnonzero(wanted[y : y + high])
-        if not len(rows):
-            continue
-        tiff.filehandle.seek(start)
-        data = tiff.filehandle.read(page.databytecounts[index])
-        piece = decode(data, index, jpegtables=tables)[0]
-        if piece is None or piece.ndim != 4:
-            raise unreadable(path, "a strip or tile cannot be decoded", field=f"number {index}")
-        out[places[y + rows], x : x + wide] = piece[0, rows, : page.imagewidth - x]
-    return out
 
 
 def _counting(page: Any) -> list[int]:

@@ -63,11 +63,6 @@ def images_among(directories: Sequence[Directory]) -> list[int]:
     return images if first is None else [i for i in images if i >= first]
 
 
-def kinds_of_pages(path: Path) -> list[int]:
-    """Return NewSubfileType of every directory; raises as `directories_of`."""
-    return [directory.kind for directory in directories_of(path)]
-
-
 def directories_of(path: Path) -> list[Directory]:
     """Return every directory in the chain; some hundred bytes a page are read.
 
