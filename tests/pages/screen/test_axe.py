@@ -112,7 +112,7 @@ def test_tab_leads_to_everything_in_the_workbench_and_a_trap_is_seen(bench):
     assert [role for role, _ in nameless(page)] == ["button"]
     count, met = walk(page)
     assert len({here["stop"] for here in met}) < count
-    assert [here["html"][:16] for here in met if not here["ring"]] == ['<select id="map"']
+    assert {here["html"][:16] for here in met if not here["ring"]} == {'<select id="map"'}
 
 
 @pytest.mark.parametrize("name", ["index.html", "viewer/objects/icon1/index.html"])
