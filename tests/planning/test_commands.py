@@ -24,7 +24,7 @@ def test_plans_are_told_in_lines_and_as_one_object(rewritten):
     assert record["light"]["setup"] == "45-degree" and len(record["setups"]) == 5
     assert record["optimum"]["weights"]["varnish"] == 2.0
     record = json.loads(run("exposure", "--setup", path, "--json").stdout)
-    assert record["dose"]["sensitivity"] == "medium" and len(record["cameras"]) == 4
+    assert len(record["cameras"]) == 4
     for words in (("light", path, "--optimise"), ("framing", path), ("exposure", "--setup", path)):
         assert run(*words).exit_code == 0
 

@@ -1,4 +1,4 @@
-"""Exposure and dose of a setup file against hand-worked numbers."""
+"""Exposure of a setup file against hand-worked numbers."""
 
 import numpy as np
 import pytest

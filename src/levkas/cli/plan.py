@@ -116,7 +116,7 @@ def exposure(
 ) -> None:
     """Recommend exposures from frames of a white, by channel or band; or from a setup file.
 
-    From a setup file: exposure, SNR and limiting channel of every camera, dose.
+    From a setup file: exposure, SNR and limiting channel of every camera.
     """
     if setup is not None:
         record, text = _planned(setup, name, report, overwrite)

@@ -17,7 +17,7 @@ from levkas.pages.plan_plots import (
     draw_snr,
     draw_spectra,
 )
-from levkas.planning.exposure_plan import plan_dose, plan_exposure
+from levkas.planning.exposure_plan import plan_exposure
 from levkas.planning.framing import plan_framing
 from levkas.planning.light import compare_lightings, plan_light
 from levkas.planning.optimisation import MEANINGS, TOLERANCES, WEIGHTS, optimise
@@ -89,15 +89,14 @@ def report_facts(
 
 
 def _light_facts(setup: StudioSetup, plan: LightPlan) -> dict[str, Any]:
-    """Exposure and dose, or the reason why there are none."""
+    """Exposure, or the reason why there is none."""
     if not setup.cameras:
-        return {"exposures": [], "dose": None, "no_light": ""}
+        return {"exposures": [], "no_light": ""}
     try:
         exposures = plan_exposure(setup, plan.lighting.name)
-        dose = plan_dose(setup, plan.lighting.name, exposures=exposures)
     except PlanRefused as refused:
-        return {"exposures": [], "dose": None, "no_light": str(refused)}
-    return {"exposures": exposures, "dose": dose, "snr": draw_snr(exposures), "no_light": ""}
+        return {"exposures": [], "no_light": str(refused)}
+    return {"exposures": exposures, "snr": draw_snr(exposures), "no_light": ""}
 
 
 def _object_facts(setup: StudioSetup) -> list[str]:

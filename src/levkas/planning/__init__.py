@@ -1,4 +1,4 @@
-"""Plan the light before a lamp is hung: geometry, framing, exposure, and what the object bears."""
+"""Plan the light before a lamp is hung: geometry, framing and exposure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ _HOMES = {
     "optimise": "optimisation",
     "plan_framing": "framing",
     "plan_exposure": "exposure_plan",
-    "plan_dose": "exposure_plan",
     "illuminate": "setup",
     "sample_surface": "surface",
     "colour_temperature": "spectra",

@@ -1,4 +1,4 @@
-"""Planned exposure of every camera and channel: times, electrons, SNR, light dose.
+"""Planned exposure of every camera and channel: times, electrons, SNR.
 
 A pixel gathers e = t·p²·τ / (4·N²·(1+m)²) · ∫ E(λ)·Rw·QE(λ)·λ/(hc) dλ photo-electrons from a white
 board, with the irradiance E, the lens's transmittance τ and f-number N.
@@ -14,7 +14,7 @@ import numpy as np
 from levkas.calibration.noise_model import Sensor, snr_db
 from levkas.planning.framing import magnification
 from levkas.planning.setup import illuminate
-from levkas.planning.spectra import GRID, LUMENS_PER_WATT, eye, integrate, steps
+from levkas.planning.spectra import GRID, LUMENS_PER_WATT, steps
 from levkas.planning.tables import PlanRefused, value_problem
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ PLANCK_TIMES_LIGHT = 1.98644586e-25
 class Channel:
     """One channel's exposure of a white board.
 
-    `snr` is the linear mean over spread after flat-fielding, `snr_raw` before it in the dB of Eq. (1).
+    `snr` is the linear mean over spread after flat-fielding.
     """
 
     name: str
@@ -39,7 +39,6 @@ class Channel:
     share_of_full: float
     snr: float
     snr_db: float
-    snr_raw_db: float
     too_long: bool = False
 
 
@@ -53,7 +52,6 @@ class CameraExposure:
     limiting: str
     evenness: float
     total_s: float
-    rates: np.ndarray
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -134,7 +132,7 @@ def expose_camera(
         index = np.array(members)
         free = keys.exposure == "per band"
         best = wanted / np.maximum(rates[index] if free else rates[index].max(), 1e-12)
-        times[index] = np.minimum(best, keys.longest_s) if keys.time_s is None else keys.time_s
+        times[index] = np.minimum(best, keys.longest_s)
     owner = {i: name for name, members in sensors.items() for i in members}
     channels = tuple(
         _channel(camera, i, owner[i], float(times[i]), float(rates[i])) for i in range(len(rates))
@@ -144,10 +142,10 @@ def expose_camera(
     per_sensor = [times[np.array(m)] for m in sensors.values()]
     free = keys.exposure == "per band"
     total = float(sum(t.sum() for t in per_sensor) if free else max(t.max() for t in per_sensor))
-    notes = tuple(_notes(camera, lighting, channels, weakest))
+    notes = tuple(_notes(camera, channels, weakest))
     return CameraExposure(
         camera.name, lighting.name, channels, weakest.name, max(snrs) / max(min(snrs), 1e-9), total,
-        rates, notes,
+        notes,
     )  # fmt: skip
 
 
@@ -165,20 +163,18 @@ def _channel(camera: StudioCamera, i: int, sensor: str, time_s: float, rate: flo
     keys = camera.keys
     electrons = rate * time_s
     dark = keys.dark_e_per_s * time_s
-    raw = Sensor(dark, keys.read_e, keys.prnu, full_well=keys.full_well_e)
     flat = Sensor(dark, keys.read_e, 0.0, 0.0, full_well=keys.full_well_e)
     held = min(electrons, keys.full_well_e)
     decibel = float(snr_db(held, flat))
     return Channel(
         camera.labels[i], float(camera.wavelengths[i]), sensor, time_s, electrons,
         electrons / keys.full_well_e, float(10 ** (decibel / 10)), decibel,
-        float(snr_db(held, raw)), keys.time_s is None and time_s >= keys.longest_s,
+        time_s >= keys.longest_s,
     )  # fmt: skip
 
 
 def _notes(
     camera: StudioCamera,
-    lighting: Lighting,
     channels: tuple[Channel, ...],
     weakest: Channel,
 ) -> list[str]:
@@ -206,79 +202,4 @@ def _notes(
     long = [c.name for c in channels if c.too_long]
     if long:
         notes.append(f"{', '.join(long)} would need more than {camera.keys.longest_s:g} s.")
-    if camera.keys.has_polariser and any(lamp.polariser for lamp in lighting.lamps):
-        notes.append(
-            "This camera is an analyser itself: record its axis and turn the lamps' sheets to it; a "
-            "third sheet before it would only darken."
-        )
     return notes
-
-
-CLASSES: dict[str, tuple[float, float]] = {
-    "high": (50.0, 15_000.0),
-    "medium": (50.0, 150_000.0),
-    "low": (200.0, 600_000.0),
-    "none": (float("inf"), float("inf")),
-}
-"""Illuminance lx and lux-hours a year of CIE 157:2004."""
-MOST_UV = 75.0
-"""µW/lm."""
-
-
-@dataclass(frozen=True)
-class Dose:
-    """Light dose of one object in one session; shares are of a year's limit of its class."""
-
-    setup: str
-    illuminance_lx: float
-    hours: float
-    lux_hours: float
-    sensitivity: str
-    limit_lx: float
-    limit_lux_hours: float
-    share_of_year: float
-    uv_uw_per_lm: float
-    sentences: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready record."""
-        return {**self.__dict__, "sentences": list(self.sentences)}
-
-
-def plan_dose(
-    setup: StudioSetup, name: str | None = None, *, exposures: list[CameraExposure] | None = None
-) -> Dose:
-    """Return what the object of a setup file gets under one lighting, all cameras together."""
-    lighting, session = setup.lighting(name), setup.bench.session
-    spectrum = irradiance_spectrum(setup, lighting)
-    exposures = plan_exposure(setup, name) if exposures is None else exposures
-    lux = LUMENS_PER_WATT * integrate(spectrum * eye())
-    capture = sum(e.total_s + session.pause_s for e in exposures) * session.shots / 3600
-    hours = session.hours or capture + (session.warm_up_min + session.focus_min) / 60
-    most_lx, most_dose = CLASSES[setup.object.sensitivity]
-    uv = 1e6 * integrate(spectrum * (GRID < 400)) / lux
-    dose = Dose(
-        lighting.name, lux, hours, lux * hours, setup.object.sensitivity, most_lx, most_dose,
-        lux * hours / most_dose, uv, (),
-    )  # fmt: skip
-    return Dose(**{**dose.__dict__, "sentences": tuple(_describe_dose(dose))})
-
-
-def _describe_dose(dose: Dose) -> list[str]:
-    sentences = [
-        f"{dose.illuminance_lx:.0f} lx for {dose.hours:.1f} h are {dose.lux_hours:,.0f} lx·h"
-        + (
-            f": {100 * dose.share_of_year:.2g} % of what an object of {dose.sensitivity} responsivity "
-            f"may get in a year ({dose.limit_lux_hours:,.0f} lx·h)."
-            if np.isfinite(dose.limit_lux_hours)
-            else "; the object is not sensitive to light."
-        )
-    ]
-    if dose.illuminance_lx > dose.limit_lx:
-        sentences.append(
-            f"While the lamps burn the object is lit {dose.illuminance_lx / dose.limit_lx:.1f} times as "
-            f"brightly as on display ({dose.limit_lx:.0f} lx): switch them off between captures."
-        )
-    uv = "within" if dose.uv_uw_per_lm <= MOST_UV else "above"
-    sentences.append(f"Ultraviolet is {dose.uv_uw_per_lm:.0f} µW/lm, {uv} the usual {MOST_UV:.0f}.")
-    return sentences

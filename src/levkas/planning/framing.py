@@ -70,39 +70,6 @@ def diffraction_mtf(
     return (2 / np.pi) * (np.arccos(x) - x * np.sqrt(1 - x * x))
 
 
-def axes_of(camera: StudioCamera) -> np.ndarray:
-    """Return right, down and forward of a camera in the world, (3, 3) rows."""
-    forward = camera.aim - camera.place
-    forward = forward / np.linalg.norm(forward)
-    down = np.array([0.0, 1.0, 0.0]) - forward[1] * forward
-    down /= np.linalg.norm(down)
-    return np.stack([np.cross(forward, down), down, forward])
-
-
-def image_of(camera: StudioCamera, point: np.ndarray) -> np.ndarray | None:
-    """Return where a point lies on the sensor from its middle, mm (2,), None from behind."""
-    right, down, forward = axes_of(camera)
-    away = point - camera.place
-    depth = float(away @ forward)
-    if depth <= camera.keys.focal_mm:
-        return None
-    m = magnification(camera.keys.focal_mm, camera.distance_mm)
-    image_distance = m * camera.distance_mm
-    return np.array([away @ right, away @ down]) * image_distance / depth
-
-
-def in_field(camera: StudioCamera, point: np.ndarray, body_mm: float) -> bool:
-    """Whether a body of half-breadth `body_mm` around a point shows in the picture."""
-    place = image_of(camera, point)
-    if place is None:
-        return False
-    depth = float((point - camera.place) @ axes_of(camera)[2])
-    m = magnification(camera.keys.focal_mm, camera.distance_mm)
-    grown = body_mm * m * camera.distance_mm / depth
-    half = np.array(camera.keys.pixels) * camera.keys.pitch_um / 2000
-    return bool((np.abs(place) <= half + grown).all())
-
-
 @dataclass(frozen=True)
 class Framing:
     """Field of one camera on the object, with contradictions in sentences."""
@@ -113,7 +80,6 @@ class Framing:
     field_mm: tuple[float, float]
     covers: bool
     samples_per_mm: float
-    samples_per_mm2: float
     needed_distance_mm: float
     depth_of_field_mm: float
     relief_mm: float
@@ -153,7 +119,7 @@ def _frame(setup: StudioSetup, camera: StudioCamera) -> Framing:
         if camera.range_nm[0] <= w <= camera.range_nm[1]
     }
     frame = Framing(
-        camera.name, camera.distance_mm, m, field, covers, samples, samples**2, needed, depth,
+        camera.name, camera.distance_mm, m, field, covers, samples, needed, depth,
         thing.recess_mm, mtf,
     )  # fmt: skip
     return Framing(

@@ -13,7 +13,6 @@ from levkas.colour.microfacet import (
     facet_lobe,
     fresnel,
     lobe_reach_deg,
-    transmitted,
 )
 from levkas.planning.setup import Lighting, drop, illuminate, light_of
 from levkas.planning.surface import (
@@ -65,14 +64,13 @@ class LightPlan:
     texture: float
     texture_varnished: float
     hidden: float
-    darkening: float
     fields: dict[str, BrightField]
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record without the maps."""
         names = (
             "drop", "mean", "absolute", "varnish", "gold", "gold_spread", "texture", "texture_varnished",
-            "hidden", "darkening",
+            "hidden",
         )  # fmt: skip
         return {
             "setup": self.lighting.name,
@@ -117,7 +115,7 @@ def plan_light(setup: StudioSetup, name: str | None = None, *, columns: int = 61
         _worst(shine.varnish), _worst(shine.gold), _spread(shine.gold),
         shading_contrast(lighting.lamps, thing.relief_slope) if thing.relief_slope else 0.0,
         rough_texture(thing, lighting, eye, sheets, paint=PAINT) if thing.relief_slope else 0.0,
-        hidden_share(lighting.lamps, thing.relief_slope), _darkening(thing, lighting),
+        hidden_share(lighting.lamps, thing.relief_slope),
         bright_fields(thing, lighting, eye),
     )  # fmt: skip
 
@@ -133,15 +131,6 @@ def _worst(values: np.ndarray | None) -> float:
 
 def _spread(values: np.ndarray | None) -> float:
     return 1.0 if values is None else float(values.max() / max(values.min(), 1e-12))
-
-
-def _darkening(thing: StudioObjectKeys, lighting: Lighting) -> float:
-    """Light that enters the varnish over that of a 45° lamp: paint reads darker by 1 − this."""
-    if thing.varnish is None:
-        return 1.0
-    got = [transmitted(lamp.angle_deg, thing.varnish.index) for lamp in lighting.lamps]
-    weights = [lamp.candela / lamp.distance_mm**2 for lamp in lighting.lamps]
-    return float(np.average(got, weights=weights)) / transmitted(45.0, thing.varnish.index)
 
 
 # --- bright field -------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.problems import Problem
-from levkas.planning.framing import image_of, in_field
 from levkas.planning.setup import (
     Lighting,
     StudioCamera,
@@ -106,11 +105,11 @@ def _resolve(path: Path, bench: Bench, problems: list[Problem]) -> StudioSetup |
     }
     if any(camera is None for camera in cameras.values()):
         return None
-    return StudioSetup(path, bench, lightings, cameras, spectra)
+    return StudioSetup(path, bench, lightings, cameras)
 
 
 def _names(bench: Bench, file: str) -> list[Problem]:
-    """Find names that lead nowhere, and lamps that stand nowhere."""
+    """Find names that lead nowhere."""
     found = []
 
     def known(where: str, name: str, names: Any, what: str) -> None:
@@ -129,12 +128,6 @@ def _names(bench: Bench, file: str) -> list[Problem]:
             known(f"{at}.lamp", placed.lamp, bench.lamps, "lamp")
             for filter_ in placed.filters or ():
                 known(f"{at}.filters", filter_, bench.spectra, "spectrum")
-            by_angle = placed.angle_deg is not None and placed.distance_mm is not None
-            if by_angle == (placed.place_mm is not None):
-                found.append(
-                    value_problem(file, at, "a lamp has a place: angle_deg and distance_mm, or place_mm",
-                          expected="one of the two")
-                )  # fmt: skip
     return found
 
 
@@ -149,11 +142,7 @@ def _lighting(name: str, keys: SetupKeys, bench: Bench, spectra: dict[str, Spect
 def _lamp(
     name: str, placed: PlacedLamp, keys: LampKeys, bench: Bench, spectra: dict[str, Spectrum]
 ) -> StudioLamp:
-    if placed.place_mm is not None:
-        place = np.array(placed.place_mm)
-    else:
-        assert placed.angle_deg is not None and placed.distance_mm is not None
-        place = lamp_place(placed.angle_deg, placed.azimuth_deg, placed.distance_mm)
+    place = lamp_place(placed.angle_deg, placed.azimuth_deg, placed.distance_mm)
     axis = aim_point(placed.aim, place, bench.object.size_mm) - place
     filters = keys.filters if placed.filters is None else placed.filters
     bare = spectra[keys.spectrum]
@@ -166,7 +155,7 @@ def _lamp(
     passed = integrate(power * eye()) / luminous
     if placed.polariser:
         passed *= bench.sheets.transmittance
-    flux = placed.share * (keys.power_w or 1.0) * keys.efficacy_lm_per_w * passed
+    flux = (keys.power_w or 1.0) * keys.efficacy_lm_per_w * passed
     # A soft light without a beam follows Lambert's law.
     beam = 1.0 if keys.size_mm else 0.0
     exponent = beam if keys.beam_deg is None else lobe_exponent(keys.beam_deg)
@@ -186,19 +175,11 @@ def place_camera(
 ) -> StudioCamera:
     """Return a camera in its place."""
     at = f"cameras.{name}"
-    if (keys.distance_mm is None) == (keys.place_mm is None):
-        raise PlanRefused(
-            value_problem(file, f"{at}.distance_mm", "a camera has a place: distance_mm or place_mm",
-                  expected="one of the two")
-        )  # fmt: skip
-    aim = np.zeros(3) if isinstance(keys.aim_mm, str) else np.array([*keys.aim_mm, 0.0])
-    before = np.array([0.0, 0.0, keys.distance_mm or 0.0])
-    place = aim + before if keys.place_mm is None else np.array(keys.place_mm)
     if keys.sensitivity is None:
-        return StudioCamera(name, keys, place, aim, *_bands(keys))
+        return StudioCamera(name, keys, *_bands(keys))
     w, table, labels = read_table(root / keys.sensitivity, field=f"{at}.sensitivity", file=file)
     if keys.wavelengths is not None:
-        return StudioCamera(name, keys, place, aim, *_tuned(keys, w, table[:, 0]))
+        return StudioCamera(name, keys, *_tuned(keys, w, table[:, 0]))
     labels = labels or [f"C{i + 1}" for i in range(table.shape[1])]
     table = np.maximum(table, 0) * keys.peak_qe / max(table.max(), 1e-12)
     quantum = np.stack([np.interp(GRID, w, c, left=0, right=0) for c in table.T])
@@ -206,7 +187,7 @@ def place_camera(
     strong = (table >= FAINT * table.max(0)).any(1)
     range_nm = (float(w[strong][0]), float(w[strong][-1]))
     _check_sensors(keys, labels, f"{at}.sensors", file)
-    return StudioCamera(name, keys, place, aim, tuple(labels), centres, quantum, range_nm)
+    return StudioCamera(name, keys, tuple(labels), centres, quantum, range_nm)
 
 
 def _check_sensors(keys: StudioCameraKeys, labels: list[str], field: str, file: str) -> None:
@@ -242,10 +223,6 @@ def _tuned(
     return tuple(f"{c:g} nm" for c in centres), centres, shapes * held, range_nm
 
 
-LAMP_BODY_MM = 60.0
-"""Half the breadth of a lamp's body that a camera would see."""
-
-
 def find_contradictions(setup: StudioSetup) -> Iterator[Problem]:
     """Yield everything that cannot be built or computed as it stands."""
     file = str(setup.path)
@@ -257,10 +234,13 @@ def find_contradictions(setup: StudioSetup) -> Iterator[Problem]:
             f"less than {min(thing.size_mm) / 2 - thing.bevel_mm:g} mm",
         )  # fmt: skip
     for camera in setup.cameras.values():
-        yield from _blind(setup, camera, file)
+        if camera.distance_mm <= camera.keys.focal_mm:
+            yield value_problem(
+                file, f"cameras.{camera.name}.distance_mm",
+                "a lens forms no image nearer than its focal length", camera.distance_mm,
+                f"> {camera.keys.focal_mm:g} mm", code="E_CAMERA_BLIND",
+            )  # fmt: skip
     for name, lighting in setup.lightings.items():
-        for i, lamp in enumerate(lighting.lamps):
-            yield from _check_lamp(setup, lamp, f"setups.{name}.lamps.{i}", file)
         polarised = [lamp.polariser for lamp in lighting.lamps]
         if lighting.camera_polariser and not all(polarised):
             yield value_problem(
@@ -271,76 +251,16 @@ def find_contradictions(setup: StudioSetup) -> Iterator[Problem]:
     yield from _spectra(setup, file)
 
 
-def _check_lamp(setup: StudioSetup, lamp: StudioLamp, at: str, file: str) -> Iterator[Problem]:
-    if lamp.place[2] <= 0:
-        yield value_problem(
-            file, at, "this lamp is behind the panel or in its plane",
-            f"{lamp.place[2]:.0f} mm before the object's middle (angle {lamp.angle_deg:.0f}°)",
-            "more than 0 mm; below 88° from the normal",
-            "Lower angle_deg, or give z > 0 in place_mm.", "E_LAMP_BEHIND",
-        )  # fmt: skip
-        return
-    for camera in setup.cameras.values():
-        place = image_of(camera, lamp.place)
-        if place is not None and in_field(camera, lamp.place, LAMP_BODY_MM):
-            yield value_problem(
-                file, at, f"this lamp is in the field of view of camera {camera.name!r}",
-                f"{lamp.place.round().tolist()} mm",
-                f"outside its field, or beyond {camera.distance_mm:.0f} mm",
-                "Move it aside: a larger angle_deg or distance_mm.", "E_LAMP_IN_VIEW",
-            )  # fmt: skip
-        elif _in_the_way(lamp.place, camera.place):
-            yield value_problem(
-                file, at, f"camera {camera.name!r} is between this lamp and the object",
-                f"lamp at {lamp.angle_deg:.0f}°", "a clear path", "Move the lamp aside.",
-                "E_LAMP_HIDDEN",
-            )  # fmt: skip
-
-
-def _in_the_way(lamp: np.ndarray, camera: np.ndarray) -> bool:
-    along = float(camera @ lamp / (lamp @ lamp))
-    return 0 < along < 1 and float(np.linalg.norm(camera - along * lamp)) < 80.0
-
-
-def _blind(setup: StudioSetup, camera: StudioCamera, file: str) -> Iterator[Problem]:
-    at = f"cameras.{camera.name}"
-    keys = camera.keys
-    if camera.distance_mm <= keys.focal_mm:
-        yield value_problem(
-            file, f"{at}.distance_mm", "a lens forms no image nearer than its focal length",
-            round(camera.distance_mm, 1), f"> {keys.focal_mm:g} mm", code="E_CAMERA_BLIND",
-        )  # fmt: skip
-        return
-    if camera.place[2] <= 0:
-        yield value_problem(
-            file, f"{at}.place_mm", "this camera is behind the object",
-            camera.place.round().tolist(), "z > 0", code="E_CAMERA_BLIND",
-        )  # fmt: skip
-        return
-    w, h = setup.object.size_mm
-    probes = [np.array([x, y, 0.0]) for x in (-w / 2, 0, w / 2) for y in (-h / 2, 0, h / 2)]
-    if not any(in_field(camera, p, 0.0) for p in probes):
-        yield value_problem(
-            file, f"{at}.aim_mm", "this camera does not point at the object",
-            camera.aim[:2].tolist(), f"a point within {w:g} x {h:g} mm", code="E_CAMERA_BLIND",
-        )  # fmt: skip
-
-
 def _spectra(setup: StudioSetup, file: str) -> Iterator[Problem]:
     for name, lighting in setup.lightings.items():
         for i, lamp in enumerate(lighting.lamps):
             for camera in setup.cameras.values():
                 low, high = camera.range_nm
                 if lamp.known[0] > low + 1 or lamp.known[1] < high - 1:
-                    parts = ", ".join(
-                        f"{n} {s.known[0]:g}–{s.known[1]:g} nm"
-                        for n, s in setup.spectra.items()
-                        if n in lamp.filters
-                        or n == setup.bench.lamps[lamp.name.rpartition(" ")[0]].spectrum
-                    )
                     yield value_problem(
                         file, f"setups.{name}.lamps.{i}.spectrum",
-                        f"the light is unknown over the wavelengths of camera {camera.name!r}", parts,
+                        f"the light is unknown over the wavelengths of camera {camera.name!r}",
+                        f"{lamp.known[0]:g}–{lamp.known[1]:g} nm",
                         f"{low:g}–{high:g} nm",
                         "Give a table that covers it, or leave the camera out.", "E_SPD_COVER",
                     )  # fmt: skip

@@ -57,14 +57,11 @@ class Optimum:
     ----------
     values : dict of str to float
         What each criterion measures there.
-    reasons : tuple of str
-        What other angles would cost, in sentences.
     """
 
     angle_deg: float
     cost: float
     values: dict[str, float]
-    reasons: tuple[str, ...]
 
     @property
     def criteria(self) -> dict[str, float]:
@@ -80,7 +77,6 @@ class Optimum:
             "over_tolerance": self.criteria,
             "weights": WEIGHTS,
             "tolerances": TOLERANCES,
-            "reasons": list(self.reasons),
         }
 
 
@@ -153,24 +149,4 @@ def optimise(
     tried = [criteria_of(setup, turned(lighting, float(angle))) for angle in ANGLES]
     costs = [cost_of(values, weights) for values in tried]
     best = int(np.argmin(costs))
-    reasons = tuple(_why(setup, tried, best))
-    return Optimum(float(ANGLES[best]), costs[best], tried[best], reasons)
-
-
-def _why(setup: StudioSetup, tried: list[dict[str, float]], best: int) -> list[str]:
-    """Report what other angles would cost."""
-    sentences, here, angle = [], tried[best], ANGLES[best]
-    shiny = "varnish" if setup.object.varnish else "gold" if setup.object.gold else None
-    if shiny and abs(angle - 45) > 3:
-        times = tried[int(np.searchsorted(ANGLES, 45))][shiny] / max(here[shiny], 1e-12)
-        sentences.append(
-            f"At 45° the {shiny} would shine {times:.1f} times as much as at {angle:.0f}°, where the lamps stand well "
-            f"outside the family of angles that the panel mirrors into the camera, facets included."
-        )
-    lower = tried[min(best + 12, len(tried) - 1)]
-    if lower["hidden"] > here["hidden"] + 0.005:
-        sentences.append(
-            f"Six degrees lower over the panel, {100 * lower['hidden']:.0f} % of the relief would turn "
-            f"away from a lamp instead of {100 * here['hidden']:.1f} %: grazing light exaggerates it."
-        )
-    return sentences
+    return Optimum(float(ANGLES[best]), costs[best], tried[best])

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.core.problems import unknown_name
-from levkas.planning.spectra import GRID, Spectrum
+from levkas.planning.spectra import GRID
 from levkas.planning.tables import PlanRefused
 
 if TYPE_CHECKING:
@@ -121,8 +121,6 @@ class StudioCamera:
 
     name: str
     keys: StudioCameraKeys
-    place: np.ndarray
-    aim: np.ndarray
     labels: tuple[str, ...] = ()
     wavelengths: np.ndarray = field(default_factory=lambda: np.zeros(0))
     quantum: np.ndarray = field(default_factory=lambda: np.zeros((0, len(GRID))))
@@ -130,8 +128,13 @@ class StudioCamera:
 
     @property
     def distance_mm(self) -> float:
-        """From the point it aims at."""
-        return float(np.linalg.norm(self.place - self.aim))
+        """From the object's middle."""
+        return self.keys.distance_mm
+
+    @property
+    def place(self) -> np.ndarray:
+        """Where it stands on the object's normal, mm, (3,)."""
+        return np.array([0.0, 0.0, self.distance_mm])
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +145,6 @@ class StudioSetup:
     bench: Bench
     lightings: dict[str, Lighting]
     cameras: dict[str, StudioCamera]
-    spectra: dict[str, Spectrum]
 
     @property
     def object(self) -> StudioObjectKeys:
@@ -170,7 +172,7 @@ def lamp_place(angle_deg: float, azimuth_deg: float, distance_mm: float) -> np.n
     return distance_mm * np.array([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(angle)])
 
 
-def aim_point(aim: Any, place: np.ndarray, size_mm: tuple[float, float]) -> np.ndarray:
+def aim_point(aim: str, place: np.ndarray, size_mm: tuple[float, float]) -> np.ndarray:
     """Return the point on the object that a lamp aims at, mm, (3,).
 
     The far edge is where the line from the lamp's foot through the middle leaves the object.
@@ -178,15 +180,12 @@ def aim_point(aim: Any, place: np.ndarray, size_mm: tuple[float, float]) -> np.n
     >>> aim_point("far edge", np.array([1973.0, 0.0, 718.0]), (420.0, 320.0)).tolist()
     [-210.0, 0.0, 0.0]
     """
-    if not isinstance(aim, str):
-        return np.array([aim[0], aim[1], 0.0])
     away = np.hypot(place[0], place[1])
     if aim == "middle" or away < 1e-6:
         return np.zeros(3)
     to_lamp = place[:2] / away
     reach = min(s / 2 / max(abs(c), 1e-9) for s, c in zip(size_mm, to_lamp, strict=True))
-    sign = -1.0 if aim == "far edge" else 1.0
-    return np.array([*(sign * reach * to_lamp + 0.0), 0.0])
+    return np.array([*(0.0 - reach * to_lamp), 0.0])
 
 
 def light_of(lamp: StudioLamp, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

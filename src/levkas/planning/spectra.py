@@ -115,25 +115,23 @@ def read_spectrum(name: str, keys: SpectrumKeys, root: Path, *, file: str) -> Sp
     Parameters
     ----------
     keys : SpectrumKeys
-        Exactly one of `planck_k`, `cie`, `csv`, `transmittance`.
+        Exactly one of `planck_k`, `cie`, `csv`.
     root : path
         Folder of the setup file.
     file : str
         The setup file, for messages.
     """
     field = f"spectra.{name}"
-    given = [k for k in ("planck_k", "cie", "csv", "transmittance") if getattr(keys, k) is not None]
+    given = [k for k in ("planck_k", "cie", "csv") if getattr(keys, k) is not None]
     if len(given) != 1:
         raise PlanRefused(
             value_problem(
-                file, field, "a spectrum is one of planck_k, cie, csv, transmittance",
+                file, field, "a spectrum is one of planck_k, cie, csv",
                 ", ".join(given) or "none of them", "exactly one",
             )
         )  # fmt: skip
     if keys.planck_k is not None:
         return Spectrum(name, planck(GRID, keys.planck_k), (GRID[0], GRID[-1]))
-    if keys.transmittance is not None:
-        return Spectrum(name, np.full(len(GRID), keys.transmittance), (GRID[0], GRID[-1]))
     if keys.cie is not None:
         found = illuminant(keys.cie)
         if found is None:
@@ -144,21 +142,8 @@ def read_spectrum(name: str, keys: SpectrumKeys, root: Path, *, file: str) -> Sp
             )
         return _on_grid(name, *found)
     assert keys.csv is not None
-    w, table, labels = read_table(root / keys.csv, field=f"{field}.csv", file=file)
-    column = _column(labels, keys.column, file, field)
-    return _on_grid(name, w, table[:, column])
-
-
-def _column(labels: list[str], wanted: str | None, file: str, field: str) -> int:
-    if wanted is None:
-        return 0
-    if wanted not in labels:
-        raise PlanRefused(
-            value_problem(
-                file, f"{field}.column", "no such column", wanted, ", ".join(labels) or "a header"
-            )
-        )
-    return labels.index(wanted)
+    w, table, _ = read_table(root / keys.csv, field=f"{field}.csv", file=file)
+    return _on_grid(name, w, table[:, 0])
 
 
 def _on_grid(name: str, wavelengths: np.ndarray, values: np.ndarray) -> Spectrum:

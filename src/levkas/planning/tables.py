@@ -8,38 +8,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, PlainValidator
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from levkas.campaign.schema.tables import Range, Table
-from levkas.campaign.schema.values import Number, Size, SizeMm, Switch, Text, Whole
+from levkas.campaign.schema.values import Number, Size, SizeMm, Switch, Text
 from levkas.core.problems import Problem, Refused
 
 Positive = Annotated[Number, Field(gt=0)]
 Share = Annotated[Number, Field(ge=0, le=1)]
 NotNegative = Annotated[Number, Field(ge=0)]
-
-
-def _numbers(value: Any, count: int) -> tuple[float, ...] | None:
-    fits = isinstance(value, list | tuple) and len(value) == count
-    if not fits or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
-        return None
-    return tuple(float(v) for v in value)
-
-
-def _place(value: Any) -> Any:
-    found = _numbers(value, 3)
-    if found is None:
-        raise ValueError("must be [x, y, z], three numbers in mm")
-    return found
-
-
-def _aim(value: Any) -> Any:
-    if value in ("middle", "far edge", "near edge"):
-        return value
-    found = _numbers(value, 2)
-    if found is None:
-        raise ValueError('must be "middle", "far edge", "near edge", or [x, y] on the object in mm')
-    return found
 
 
 def _names(value: Any) -> Any:
@@ -49,8 +26,6 @@ def _names(value: Any) -> Any:
     return tuple(value)
 
 
-Place = Annotated[tuple[float, float, float], PlainValidator(_place)]
-Aim = Annotated[Any, PlainValidator(_aim)]
 NameList = Annotated[tuple[str, ...], BeforeValidator(_names)]
 
 
@@ -80,7 +55,6 @@ class StudioObjectKeys(Table):
     varnish: Varnish | None = None
     gold: Gilding | None = None
     darkest: Annotated[Number, Field(gt=0, le=1)] = 0.05
-    sensitivity: Literal["high", "medium", "low", "none"] = "medium"
 
 
 class SpectrumKeys(Table):
@@ -89,8 +63,6 @@ class SpectrumKeys(Table):
     planck_k: Annotated[Number, Field(ge=500, le=50_000)] | None = None
     cie: Text | None = None
     csv: Text | None = None
-    column: Text | None = None
-    transmittance: Annotated[Number, Field(gt=0, le=1)] | None = None
 
 
 class LampKeys(Table):
@@ -108,12 +80,10 @@ class PlacedLamp(Table):
     """One lamp of a setup."""
 
     lamp: Text
-    place_mm: Place | None = None
-    angle_deg: Annotated[Number, Field(ge=0, lt=180)] | None = None
+    angle_deg: Annotated[Number, Field(ge=0, lt=88)]
     azimuth_deg: Number = 0.0
-    distance_mm: Annotated[Number, Field(ge=10, le=50_000)] | None = None
-    aim: Aim = "middle"
-    share: Positive = 1.0
+    distance_mm: Annotated[Number, Field(ge=10, le=50_000)]
+    aim: Literal["middle", "far edge"] = "middle"
     filters: NameList | None = None
     polariser: Literal["p", "s"] | None = None
 
@@ -130,45 +100,30 @@ class SetupKeys(Table):
 
     title: Text = ""
     lamps: Annotated[tuple[PlacedLamp, ...], Field(min_length=1)]
-    camera_polariser: Literal["crossed", "parallel"] | None = None
+    camera_polariser: Literal["crossed"] | None = None
     illuminance_lx: Positive | None = None
 
 
 class StudioCameraKeys(Table):
-    """A camera before the object, its axis along the object's normal without `place_mm`."""
+    """A camera before the object's middle, its axis along the object's normal."""
 
     pixels: Size
     pitch_um: Annotated[Number, Field(ge=0.3, le=200)]
     focal_mm: Annotated[Number, Field(ge=2, le=5000)]
     f_number: Annotated[Number, Field(ge=0.5, le=128)]
-    distance_mm: Annotated[Number, Field(ge=10, le=50_000)] | None = None
-    place_mm: Place | None = None
-    aim_mm: Annotated[Any, PlainValidator(_aim)] = "middle"
+    distance_mm: Annotated[Number, Field(ge=10, le=50_000)]
     sensitivity: Text | None = None
     wavelengths: Range | None = None
     fwhm_nm: Positive = 10.0
     peak_qe: Annotated[Number, Field(gt=0, le=1)] = 0.5
     exposure: Literal["one", "per band"] = "one"
     sensors: tuple[tuple[Text, ...], ...] = ()
-    time_s: Positive | None = None
     longest_s: Positive = 10.0
     lens_transmittance: Annotated[Number, Field(gt=0, le=1)] = 0.9
     full_well_e: Positive = 45_000.0
     read_e: NotNegative = 5.0
     dark_e_per_s: NotNegative = 32.0
-    prnu: Annotated[Number, Field(ge=0, lt=1)] = 0.019
-    bits: Annotated[Whole, Field(ge=4, le=32)] = 12
     has_polariser: Switch = False
-
-
-class SessionKeys(Table):
-    """A day's work: what it costs the object in light."""
-
-    warm_up_min: NotNegative = 0.0
-    focus_min: NotNegative = 10.0
-    shots: Annotated[Whole, Field(ge=1)] = 5
-    pause_s: NotNegative = 2.0
-    hours: Positive | None = None
 
 
 class Target(Table):
@@ -190,7 +145,6 @@ class Bench(Table):
     cameras: dict[str, StudioCameraKeys] = Field(default_factory=dict)
     setups: dict[str, SetupKeys] = Field(min_length=1)
     sheets: Sheets = Sheets()
-    session: SessionKeys = SessionKeys()
     target: Target = Target()
 
 
