@@ -34,8 +34,7 @@ class Subject(NamedTuple):
     """Where a chart may be.
 
     A name for people, the chart (None where only its slanted edges are measured), cubes sensor by sensor,
-    whether it must be there, the quantity of the cubes, the greatest code where they hold those of a finished
-    photograph, slanted edges by sensor, whether the cube is a layer on the grid, and what is to be known of it.
+    whether it must be there, the quantity of the cubes, slanted edges by sensor, and what is to be known of it.
     """
 
     name: str
@@ -43,17 +42,16 @@ class Subject(NamedTuple):
     files: dict[str, Path]
     certain: bool
     quantity: str = "reflectance"
-    top: float | None = None
     edges: Mapping[str, tuple[EdgePlace, ...]] = MappingProxyType({})
     note: str = ""
 
     def read(self, path: Path) -> CubeFile:
         """Read one of its cubes."""
-        cube, notes, top = read_cube_file(path)
+        cube, notes = read_cube_file(path)
         notes = (*notes, self.note) if self.note else notes
         if self.quantity != "reflectance":
             cube = replace(cube, quantity=self.quantity)
-        return CubeFile(cube, notes, self.top or top)
+        return CubeFile(cube, notes)
 
 
 def is_database(path: Path) -> bool:
@@ -108,28 +106,15 @@ def subjects_of(
         file = database / f"{entry.layer.path}.tif"
         check_inside(database, file, database / f"{entry.layer.path}.flags.tif")
         name = f"{entry.object}/{entry.layer.name}"
-        chart, top = kind_of(kind), _code_of_layer(database, entry, file)
+        chart = kind_of(kind)
         both = bool(objects) and not corners
         native = _native_files(database, entry) if both else {}
         note = NO_NATIVE if both and not native else ""
-        facts = bool(objects), entry.quantity, top
+        facts = bool(objects), entry.quantity
         yield Subject(name, chart, {"": file}, *facts, note=note)
         if native:
             name = f"{name}, native pixels"
-            yield Subject(name, chart, native, True, entry.quantity, top)
-
-
-def _code_of_layer(database: Path, entry: Entry, file: Path) -> float | None:
-    """Return the greatest code of a layer that is a photograph in counts, 8 or 16 bits by its values."""
-    from levkas.core.text import read_json
-
-    described = database / "cameras" / entry.camera / "camera.json"
-    if entry.quantity != "counts":
-        return None
-    if described.is_file() and dict(read_json(described)).get("kind") != "image":
-        return None  # frames without a white
-    check_inside(database, file)
-    return 255.0 if float(np.nanmax(read_cube_file(file).cube.values)) <= 255 else 65535.0
+            yield Subject(name, chart, native, True, entry.quantity)
 
 
 def _native_files(database: Path, entry: Entry) -> dict[str, Path]:
@@ -171,7 +156,7 @@ def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
         if isinstance(notes, dict) and "chart" in notes and files:
             camera = record.stem[len(record.parent.name) + 1 :]
             name = f"{record.parent.name}/{camera}"
-            top = notes.get("greatest_code")
+            was = "counts" if "greatest_code" in notes else "reflectance"  # of earlier databases
             yield (
                 camera,
                 Subject(
@@ -179,8 +164,8 @@ def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
                     kind_of(str(notes["chart"])),
                     files,
                     True,
-                    top=top if isinstance(top, (int, float)) and top > 0 else None,
-                    edges=_kept_edges(notes),
+                    str(notes.get("quantity", was)),
+                    _kept_edges(notes),
                 ),
             )
 
@@ -205,15 +190,14 @@ def _check(database: Path, option: str, wanted: Sequence[str], known: set[str]) 
 
 
 class CubeFile(NamedTuple):
-    """A cube from a file, its notes, and the greatest code where it is a finished photograph."""
+    """A cube from a file, and its notes."""
 
     cube: Cube
     notes: tuple[str, ...]
-    top: float | None
 
 
 def read_cube_file(path: Path) -> CubeFile:
-    """Read a calibrated cube from a TIFF of this package or an ENVI file, or a finished photograph.
+    """Read a calibrated cube from a TIFF of this package or an ENVI file, or a finished photograph, in counts.
 
     Flags are read where they stand beside it.
     """
@@ -262,7 +246,7 @@ def read_cube_file(path: Path) -> CubeFile:
     if top is not None:
         flags[values >= top] |= np.uint8(Flag.SATURATED)
     quantity = "reflectance" if top is None else "counts"
-    return CubeFile(Cube(values, flags, None, bands, quantity), (NOTE,), top)
+    return CubeFile(Cube(values, flags, None, bands, quantity), (NOTE,))
 
 
 def greatest_code(facts: Facts) -> float:

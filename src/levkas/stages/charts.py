@@ -31,11 +31,10 @@ from levkas.quality.targets.edges import (
 )
 from levkas.quality.targets.indicators import IndicatorRow, WhiteEvenness
 from levkas.quality.targets.locating import locate_in_cube
-from levkas.quality.targets.measuring import ChartMeasure, Sighting, decode_sighting, measure
+from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure
 from levkas.quality.targets.stray_light import describe_trap
-from levkas.readers.frames import read_facts
 from levkas.stages.capture_statistics import ROUNDING, STRAYED
-from levkas.stages.chart_files import Subject, greatest_code, is_database, subjects_of
+from levkas.stages.chart_files import Subject, is_database, subjects_of
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
@@ -50,8 +49,8 @@ NOT_FOUND = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER"
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
 
 ENCODED = (
-    "a rendered photograph: the response is measured on its encoded values, because no "
-    "grey scale gives their tone curve; ISO 12233 requires linear values"
+    "these are counts: of a rendered photograph the response is that of its encoded values, and "
+    "ISO 12233 requires linear ones"
 )
 
 # --- charts of a campaign, or in files ------------------------------------------------------------
@@ -174,19 +173,16 @@ def _measure_subject(
     """Measure the chart of one subject; of a kept one by the edges that its campaign named, where none are given."""
     places = {sensor: edges or subject.edges.get(sensor, ()) for sensor in subject.files}
     if subject.chart is None:
-        files = {sensor: subject.read(path) for sensor, path in subject.files.items()}
-        encoded = any(file.top is not None for file in files.values())
-        cubes = {sensor: file.cube for sensor, file in files.items()}
-        return measure_edges_of(subject.name, cubes, places, encoded=encoded)
+        cubes = {sensor: subject.read(path).cube for sensor, path in subject.files.items()}
+        return measure_edges_of(subject.name, cubes, places)
     spectra = _reference(subject.chart, reference)
     sightings: list[Sighting] = []
     notes: tuple[str, ...] = ()
     for sensor, path in subject.files.items():
-        cube, notes, top = subject.read(path)
+        cube, notes = subject.read(path)
         near = sightings[0].located.corners if sightings else None
         found = locate_in_cube(cube, subject.chart, spectra, corners=corners, near=near)
-        sighting = Sighting(sensor, found, cube, edges=places[sensor])
-        sightings.append(decode_sighting(sighting, subject.chart, top) if top else sighting)
+        sightings.append(Sighting(sensor, found, cube, edges=places[sensor]))
     return measure(subject.name, subject.chart, sightings, spectra, notes=notes)
 
 
@@ -196,13 +192,11 @@ def measure_edges_of(
     places: Mapping[str, Sequence[EdgePlace]],
     patterns: Mapping[str, np.ndarray] = MappingProxyType({}),
     *,
-    encoded: bool = False,
     trapped: bool = False,
 ) -> EdgeTargetMeasure:
     """Measure the slanted edges of a target without a colour chart.
 
-    `patterns` are mosaics by sensor; `encoded` says that the values are those of a finished photograph; `trapped` that it has
-    light traps, and needs no edge.
+    `patterns` are mosaics by sensor; `trapped` says that it has light traps, and needs no edge.
 
     Raises EdgeRefused, ``E_EDGE_MISSING`` where none is named.
     """
@@ -219,7 +213,7 @@ def measure_edges_of(
         measure_named(cube, places.get(sensor, ()), period=periods.get(sensor, 1))
         for sensor, cube in cubes.items()
     ]
-    if encoded:
+    if any(cube.quantity == "counts" for cube in cubes.values()):
         found.append(EdgeFindings(notes=(ENCODED,)))
     return EdgeTargetMeasure(name, dict(cubes), join_findings(found))
 
@@ -301,8 +295,6 @@ class Developed:
     """What a step from code to code is of the values of each band."""
     count: int = 1
     """Shots that the values are the mean of, in the band of fewest."""
-    top: float | None = None
-    """Greatest code of a finished photograph, which is not calibrated; else None."""
     edges: dict[str, tuple[EdgePlace, ...]] = field(default_factory=dict)
     """Slanted edges that the campaign names, by sensor."""
     common: dict[str, np.ndarray] = field(default_factory=dict)
@@ -323,15 +315,13 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
     }
     traits = campaign.cameras[capture.camera].traits
     edges = edges_of(campaign, capture)
-    frame = capture.sensors[0].object[0].path
-    top = None if traits.is_calibrated else greatest_code(read_facts(frame))
     parts = None if traits.is_scanned else _halves(capture)
     if parts is None:
         whole = develop(capture, campaign, templates)
         most = min(_shots_of(capture))
         steps = _steps_of(whole)
         return Developed(
-            *(dict(whole.cubes), {}, patterns, whole.captured or "", steps, most, top, edges),
+            *(dict(whole.cubes), {}, patterns, whole.captured or "", steps, most, edges),
             trapped=_trapped(whole),
         )
     first, second, whole = (develop(p, campaign, templates) for p in (*parts, _joined(*parts)))
@@ -344,7 +334,7 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
     count = 2 * min(_shots_of(parts[0]))
     steps = _steps_of(whole)
     read = (dict(whole.cubes), shots, patterns, whole.captured or "")
-    return Developed(*read, steps, count, top, edges, common, _trapped(whole))
+    return Developed(*read, steps, count, edges, common, _trapped(whole))
 
 
 def _trapped(whole: Native) -> dict[str, dict[str, Any]]:
@@ -432,12 +422,9 @@ def measure_capture(
 ) -> ChartMeasure | EdgeTargetMeasure:
     """Find the chart in every sensor's cube, and measure it; without a chart, its slanted edges."""
     if chart is None:
-        encoded = developed.top is not None
-        trapped = bool(developed.trapped)
         edges_found = measure_edges_of(
             *(name, developed.cubes, developed.edges, developed.patterns),
-            encoded=encoded,
-            trapped=trapped,
+            trapped=bool(developed.trapped),
         )
         return _with_traps(edges_found, developed)
     sightings: list[Sighting] = []
@@ -450,10 +437,7 @@ def measure_capture(
         sighting = Sighting(
             sensor, found, cube, shots, steps, developed.count, pattern, edges=edges
         )
-        sighting = replace(sighting, common=developed.common.get(sensor))
-        sightings.append(
-            decode_sighting(sighting, chart, developed.top) if developed.top else sighting
-        )
+        sightings.append(replace(sighting, common=developed.common.get(sensor)))
     return _with_traps(measure(name, chart, sightings, reference, evenness=evenness), developed)
 
 
@@ -597,13 +581,15 @@ def write_chart(
         stem = "_".join(part for part in (layer.stem, sensor) if part)
         written += write_tiffs(folder / stem, layer, cube)
     record = folder / f"{layer.stem}.json"
-    codes = {"greatest_code": developed.top} if developed.top else {}
+    quantity = next(iter(developed.cubes.values())).quantity
     named = {
         sensor: {label: list(box) for label, box in places}
         for sensor, places in developed.edges.items()
     }
     edges = {"named_edges": named} if named else {}
-    write_json(record, {"chart": _kind(measure), **codes, **edges, **measure.to_dict()})
+    write_json(
+        record, {"chart": _kind(measure), "quantity": quantity, **edges, **measure.to_dict()}
+    )
     return [*written, record]
 
 

@@ -5,13 +5,13 @@ standards require their own targets, densities and whole systems."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from levkas.colour.gamut import delta_e_2000, xyz_to_lab
-from levkas.colour.srgb import SRGB_TO_XYZ, observer_under, visible_coverage, xyz_weights
+from levkas.colour.srgb import observer_under, visible_coverage, xyz_weights
 from levkas.core.cube import Band, Cube, Flag, is_flagged
 from levkas.core.json_safe import rounded
 from levkas.quality.targets.charts import Chart, ChartReference, pixels_of
@@ -30,7 +30,6 @@ from levkas.quality.targets.patches import (
     noise_planes,
     spread_about_plane,
 )
-from levkas.quality.targets.photographs import Curve, find_curve
 from levkas.quality.targets.stray_light import (
     StrayLight,
     describe_stray_light,
@@ -59,31 +58,9 @@ class Sighting:
     steps: np.ndarray | tuple[float, ...] | None = None
     count: int = 1
     pattern: np.ndarray | None = None
-    curve: Curve | None = None
-    """Of a finished photograph, whose values are light by it."""
     edges: tuple[EdgePlace, ...] = ()
     """Slanted edges that were named."""
     common: np.ndarray | None = None
-
-
-def decode_sighting(sighting: Sighting, chart: Chart, top: float) -> Sighting:
-    """Return the sighting of a chart in a photograph, whose greatest code is `top`, as light, 0 … 1, with what its codes resolve."""
-    means = sighting.located.means / top
-    curve = find_curve(means, chart)
-    light = curve.decode(sighting.cube.values / top).astype(np.float32)
-    shots = None
-    if sighting.shots is not None:
-        first, second = (curve.decode(shot / top) for shot in sighting.shots)
-        shots = first, second
-    return replace(
-        sighting,
-        located=sighting.located._replace(means=curve.decode(means)),
-        cube=replace(sighting.cube, values=light, sigma=None),
-        shots=shots,
-        steps=curve.steps(means, round(top)),
-        curve=curve,
-        common=None,
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,9 +163,7 @@ def measure(
     remarks = [*notes, *_warnings(table, bands, sightings), *_misfits(bands, sightings)]
     remarks += _unknown_bands(bands, reference)
     colours, rows = None, []
-    photograph = len(sightings) == 1 and sightings[0].curve is not None
-    remarks += [s.curve.note for s in sightings if s.curve is not None]
-    reflective = photograph or all(s.cube.quantity == "reflectance" for s in sightings)
+    reflective = all(s.cube.quantity == "reflectance" for s in sightings)
     visible = ~np.isfinite(wavelengths) | ((wavelengths > 380) & (wavelengths < 740))
     visible &= ~unfit
     if reference is not None:  # a channel in the infrared has no colour
@@ -197,10 +172,12 @@ def measure(
     if reference is None:
         remarks.append("no reference spectra: give --reference for colour differences")
     elif not reflective:
-        remarks.append("the cube is in counts: colours need a white")
+        remarks.append(
+            "the cube is in counts: colours need a white, and a rendered photograph has signal and noise of its encoded values"
+        )
     elif visible.sum() >= 3 and clean:
         means = table.mean[:, ~unfit]
-        colours = compare_colours(means, wavelengths[~unfit], reference, srgb=photograph)
+        colours = compare_colours(means, wavelengths[~unfit], reference)
         weights = np.zeros(len(bands))
         weights[~unfit] = colours.weights
         noise = rate_noise(sightings, weights, table.mean @ weights, chart)
@@ -209,7 +186,7 @@ def measure(
         remarks.append("colours are not compared where patches saturate")
     edges = join_findings([_edges(one) for one in sightings])
     stray = None
-    if reference is not None and reflective and not photograph and clean:
+    if reference is not None and reflective and clean:
         means = np.where(unfit, np.nan, table.mean)
         stray = measure_stray_light(means, wavelengths, chart, reference)
         light = np.concatenate([light_of_view(one.cube) for one in sightings])
@@ -352,7 +329,7 @@ class Colours(NamedTuple):
 
 
 def compare_colours(
-    means: np.ndarray, wavelengths: np.ndarray, reference: ChartReference, *, srgb: bool = False
+    means: np.ndarray, wavelengths: np.ndarray, reference: ChartReference
 ) -> Colours:
     """Compare the patches' colours with those of the reference spectra.
 
@@ -362,8 +339,6 @@ def compare_colours(
         Reflectance.
     wavelengths : ndarray, (bands,), nm
         NaN for broad channels.
-    srgb : bool
-        Whether the three channels are red, green and blue of linear sRGB, as a photograph shows them.
 
     Notes
     -----
@@ -377,10 +352,7 @@ def compare_colours(
     narrow = np.isfinite(wavelengths)
     covered = narrow.sum() >= 8 and visible_coverage(wavelengths[narrow]) >= LEAST_COVERAGE
     weights = np.zeros(means.shape[1])
-    if srgb:
-        measured, weights = means @ SRGB_TO_XYZ.T, SRGB_TO_XYZ[1]
-        how = "as the photograph shows them, in sRGB"
-    elif covered:
+    if covered:
         measured = means[:, narrow] @ xyz_weights(wavelengths[narrow])
         weights[narrow] = xyz_weights(wavelengths[narrow])[:, 1]
         how = f"integrated over {int(narrow.sum())} bands"
