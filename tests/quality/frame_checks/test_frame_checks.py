@@ -67,7 +67,7 @@ def expose(
 
 
 def frame(name: str, role: str, codes: np.ndarray, **more: object) -> FrameOfSet:
-    measures = measure_frame(codes, full=FULL, white=role == "white")
+    measures = measure_frame(codes, full=FULL)
     target = {"object": "icon"}.get(role, role)
     given = {"full": FULL, "exposure_s": 0.1, "at": float(name[:2]), "facts": FACTS, **more}
     return FrameOfSet(name=name, role=role, target=target, measures=measures, **given)  # type: ignore[arg-type]
@@ -97,11 +97,6 @@ def blob(size: int) -> np.ndarray:
     light = PANEL.copy()
     light[100 : 100 + size, 150 : 150 + size] = 1.2
     return light
-
-
-def speck(radius: float, depth: float) -> np.ndarray:
-    y, x = np.mgrid[:HEIGHT, :WIDTH]
-    return 0.98 * (1 - depth * np.exp(-((x - 300) ** 2 + (y - 80) ** 2) / (2 * radius**2)))
 
 
 def half_covered(share: float) -> np.ndarray:
@@ -137,7 +132,6 @@ CASES = {
     "another light": ("drift", "07 shot", lambda: expose(PANEL * np.linspace(0.5, 1.4, WIDTH), 7), {}),
     "another exposure": ("drift", "07 shot", lambda: expose(PANEL, 7, lamp=0.79), {}),
     "glare": ("glare", "07 shot", lambda: expose(blob(50), 7, lamp=0.95), {}),
-    "dust": ("dust", "08 white", lambda: expose(speck(3, 0.15), 8), {}),
     "another ISO": ("settings", "07 shot", lambda: expose(PANEL, 7), {"facts": replace(FACTS, iso=200.0)}),
     "another size": ("settings", "07 shot", lambda: expose(PANEL, 7)[:-20, :-20], {}),
 }  # fmt: skip

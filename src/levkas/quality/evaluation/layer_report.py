@@ -65,12 +65,6 @@ class Assessment:
                 f"{result['layer']:28} {verdict:14} {len(result['bands']):5d} "
                 f"{_mean_error(errors):>15} {_number(worst):>11} {_number(most):>8} {_mean_error(result['check_points']):>15} {ssim:>15}"
             )
-            for tile in result.get("tiles", ()):
-                numbers = (tile["error_mean"], tile["error_max"])
-                mean, most = (_number(np.nan if n is None else n) for n in numbers)
-                verdict = DECISIONS[tile["verdict"]].partition(",")[0]
-                name = f"  tile {tile['tile']}"
-                lines.append(f"{name:28} {verdict:14} {'':5} {mean:>15} {'':>11} {most:>8}")
         if any("±" in line for line in lines):
             lines.append(
                 f"± is the expanded uncertainty of a mean, k = {COVERAGE:g}: how far it may be off what such a picture has everywhere."
@@ -310,7 +304,6 @@ def _assess_layer(
         "layer": f"{name}/{layer}",
         "verdict": decision,
         "bands": [b.to_dict() for b in bands],
-        **({"tiles": _tile_rows(record, tiles)} if record.get("tiles") else {}),
         "check_points": _checked(record, own),
         "ssim": ssim and ssim[0],
         "ssim_u": ssim and ssim[1],
@@ -352,24 +345,6 @@ def _tile_errors(
 def _over_tiles(label: str, tiles: Mapping[str, Errors]) -> BandError:
     errors, places = zip(*(one[label] for one in tiles.values() if label in one), strict=True)
     return summarise_errors(label, np.concatenate(errors), np.concatenate(places))
-
-
-def _tile_rows(record: dict[str, Any], tiles: Mapping[str, Errors]) -> list[dict[str, Any]]:
-    """Return a row a tile: its verdict, and mean and largest error over all bands where its truth is known."""
-    rows = []
-    for tile, one in record["tiles"].items():
-        errors = [e for e, _ in tiles.get(tile, {}).values()]
-        known = np.concatenate(errors) if errors else np.zeros(0)
-        rows.append(
-            {
-                "tile": tile,
-                "verdict": one["verdict"]["decision"],
-                "points": len(errors[0]) if errors else 0,
-                "error_mean": float(known.mean()) if known.size else None,
-                "error_max": float(known.max()) if known.size else None,
-            }
-        )
-    return rows
 
 
 def _checked(record: dict[str, Any], own: dict[str, np.ndarray]) -> list[dict[str, Any]]:

@@ -248,9 +248,6 @@ class _Companions:
         elif frame.role == "white":
             same = self.by["band", "white", frame.band]
             like = tuple(f for f in same[: MOST_COMPANIONS + 1] if f is not frame)
-            same_band = bool(like)
-            every = self.by["role", "white"]
-            like = like or tuple(f for f in every[: MOST_COMPANIONS + 1] if f is not frame)
             before = self._before(frame, same)
         else:
             like = tuple(f for f in stack[:2] if f is not frame)[:1]
@@ -481,10 +478,7 @@ def _white_findings(frame: FrameOfSet, beside: _Beside) -> list[Finding]:
             found += light.check_drift(
                 own, beside.before.measures, black=black, ratio_of_times=ratio
             )
-        found += picture.check_dust(own, beside.before.measures, black=black)
-    return found + light.check_noise(
-        own, _measures(beside.like), black, same_light=beside.same_band
-    )
+    return found + light.check_noise(own, _measures(beside.like), black)
 
 
 def _settings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> Iterable[Finding]:

@@ -38,8 +38,8 @@ SHOWN = (LEAST, 0.25)
 """Share of a white that shows the object: a build marks these pixels, and refuses from a half."""
 DRIFT, STACK = (0.02, 0.1), 0.01
 """Relative change of the light between whites, to look at and to stop at; and within a stack, to look at."""
-NOISIER, QUIET_COUNTS = (1.8, 2.2), 0.6
-"""Variance over that of frames of the same light, and of other bands; noise of fewer counts is rounding."""
+NOISIER, QUIET_COUNTS = 1.8, 0.6
+"""Variance over that of frames of the same light; noise of fewer counts is rounding."""
 SAME_TIME = 1.1
 """Larger over smaller of two exposures that are one: EXIF has the nominal 1/60 s for 1/64."""
 
@@ -52,7 +52,7 @@ class Finding:
     ----------
     check : str
         ``"exposure"``, ``"black"``, ``"dark"``, ``"white"``, ``"drift"``, ``"noise"``, ``"focus"``, ``"glare"``,
-        ``"moved"``, ``"dust"``, ``"settings"``, ``"twice"`` or ``"file"``.
+        ``"moved"``, ``"settings"``, ``"twice"`` or ``"file"``.
     severity : {"look", "stop"}
         Whether a person should look at it, or the frame cannot be used.
     text, advice : str
@@ -276,13 +276,11 @@ def check_stack(shot: FrameMeasures, first: FrameMeasures, *, black: float) -> l
     return [Finding("drift", "look", text, "wait until the lamp is steady, and repeat the stack")]
 
 
-def noise_ratio(
-    frame: FrameMeasures, others: Sequence[FrameMeasures], black: float, *, same_light: bool = True
-) -> float:
+def noise_ratio(frame: FrameMeasures, others: Sequence[FrameMeasures], black: float) -> float:
     """Return the variance of a frame over what others of its role have at its level; 1 where that is not known.
 
     Shot noise grows as the light: compared is the variance a count above `black` of whites and of shots of one scene, of
-    darks, whose black is infinite here, the variance itself. Without `same_light` channels that are dim are left out.
+    darks, whose black is infinite here, the variance itself.
     """
     alike = [one for one in others if one.noise.shape == frame.noise.shape]
     if not alike:
@@ -292,18 +290,15 @@ def noise_ratio(
     typical = np.median([own, *of_others] if len(alike) > 1 else of_others, 0)
     sure = np.isfinite(own) & np.isfinite(typical)
     sure &= np.min([one.noise for one in (frame, *alike)], 0) > QUIET_COUNTS
-    if not same_light:
-        sure &= ~np.any([_is_dim(one, black) for one in (frame, *alike)], 0)
     return float(np.median(own[sure] / typical[sure])) if sure.any() else 1.0
 
 
 def check_noise(
-    frame: FrameMeasures, others: Sequence[FrameMeasures], black: float, *, same_light: bool = True
+    frame: FrameMeasures, others: Sequence[FrameMeasures], black: float
 ) -> list[Finding]:
-    """Check that a frame has the noise of others: darks, whites, or shots of one scene; of other bands without `same_light`."""
-    ratio = noise_ratio(frame, others, black, same_light=same_light)
-    most = NOISIER[0 if same_light else 1]
-    if 1 / most <= ratio <= most:
+    """Check that a frame has the noise of others: darks, whites, or shots of one scene."""
+    ratio = noise_ratio(frame, others, black)
+    if 1 / NOISIER <= ratio <= NOISIER:
         return []
     root = float(np.sqrt(ratio))
     if ratio > 1:
@@ -315,12 +310,8 @@ def check_noise(
 
 
 def _per_light(frame: FrameMeasures, black: float) -> np.ndarray:
-    dim = _is_dim(frame, black)
+    dim = frame.level - black < 20 * np.maximum(frame.noise, QUIET_COUNTS)
     return np.asarray(frame.noise**2 / np.where(dim, 1.0, frame.level - black))
-
-
-def _is_dim(frame: FrameMeasures, black: float) -> np.ndarray:
-    return np.asarray(frame.level - black < 20 * np.maximum(frame.noise, QUIET_COUNTS))
 
 
 def _painting_in(white: FrameMeasures, scene: FrameMeasures, black: float) -> Finding | None:

@@ -29,8 +29,6 @@ from levkas.quality.image_quality.sharpness import edge_blur, middle_of
 
 ROWS, COLUMNS = 12, 16
 """Cells of a frame, whose means tell how even and how bright it is."""
-WHITE_PICTURE = 640
-"""Longer side of the small picture of a white, px, where dust is looked for: finer than others."""
 MOST_TABLES = 16
 """Bands of a cube of which cells are kept."""
 LOW, HIGH = 0.001, 0.999
@@ -47,7 +45,7 @@ class FramePictures:
     Parameters
     ----------
     picture : ndarray, (h, w), float32
-        One channel, reduced to 320 px, of a white to 640.
+        One channel, reduced to 320 px.
     patches : ndarray, (9, 64, 64), uint16
         Of the same channel at full size; none, (0, 64, 64), of a small frame or a scan.
     """
@@ -149,7 +147,6 @@ def measure_frame(
     *,
     full: float | None = None,
     pattern: str | Sequence[Sequence[str]] | None = None,
-    white: bool = False,
     detail: np.ndarray | None = None,
 ) -> FrameMeasures:
     """Reduce a frame to its measures.
@@ -162,8 +159,6 @@ def measure_frame(
         Full scale, counts. Codes that pile up at the top below it are full as well.
     pattern : str or rows of names, optional
         Of a mosaic.
-    white : bool
-        Whether it shows the white board.
     detail : ndarray, (h, w), optional
         Of a scan of which `values` are some lines: some that lie side by side, for the focus.
 
@@ -186,7 +181,7 @@ def measure_frame(
     patches = patches_of(shown) if detail is None else np.zeros((0, PATCH, PATCH), np.uint16)
     sharp = shown[middle_of(shown.shape)] if detail is None else detail
     cells = np.stack([reduced(planes[k], (ROWS, COLUMNS)) for k in kept])
-    picture = picture_of(shown, WHITE_PICTURE if white else PICTURE)
+    picture = picture_of(shown, PICTURE)
     return FrameMeasures(
         shape=np.array(values.shape[:2]),
         level=levels[:, 0],

@@ -1,4 +1,4 @@
-"""Checks of the picture of a frame: focus, whether it moved, glare, dust."""
+"""Checks of the picture of a frame: focus, whether it moved, glare."""
 
 from __future__ import annotations
 
@@ -31,8 +31,6 @@ BETWEEN_BANDS = (4.0, 0.006)
 GLARE, ABOVE_WHITE, OTHER_LIGHT = (0.01, 0.06), 1.15, 0.3
 """Share of the picture above the white, to look at and to stop at; reflectance that no paint has; share from which it is
 the white that is wrong."""
-SPOT, SPOT_NOISES, LARGEST_SPOT = 0.03, 8.0, 0.002
-"""Depth of a speck in a white, relative, and over noise; share of the frame that a speck has at most."""
 
 
 def check_focus(
@@ -123,40 +121,3 @@ def check_glare(
     text = f"{percent(share)} of the picture is brighter than the white: glare"
     advice = "move the lamps further to the side, or shade what they mirror in; for gold it may be all right"
     return [Finding("glare", severity, text, advice)]
-
-
-def check_dust(white: FrameMeasures, before: FrameMeasures, *, black: float) -> list[Finding]:
-    """Check for specks in a white that were not in the white before."""
-    import cv2
-
-    spots = new_specks(white, before, black)
-    count, _, stats, places = cv2.connectedComponentsWithStats(
-        spots.astype(np.uint8), None, None, None, 8
-    )
-    largest = LARGEST_SPOT * spots.size
-    kept = [k for k in range(1, count) if 2 <= stats[k, cv2.CC_STAT_AREA] <= largest]
-    if not kept or len(kept) > 50:  # texture of a board that was moved is none
-        return []
-    first = max(kept, key=lambda k: int(stats[k, cv2.CC_STAT_AREA]))
-    step = white.shape[::-1] / np.array(spots.shape[::-1])
-    x, y = ((np.asarray(places[first]) + 0.5) * step).astype(int)
-    what = "a new speck" if len(kept) == 1 else f"{len(kept)} new specks"
-    text = f"{what} in the white, the largest at column {x}, row {y}"
-    advice = "look at sensor, lens and board; clean, and repeat the white"
-    return [Finding("dust", "look", text, advice)]
-
-
-def new_specks(white: FrameMeasures, before: FrameMeasures, black: float) -> np.ndarray:
-    """Return where a white's picture is locally darker than before, bool; nowhere where sizes differ."""
-    import cv2
-
-    if white.picture.shape != before.picture.shape:
-        return np.zeros(white.picture.shape, bool)
-    old = before.picture - black
-    lit = old > 0.2 * np.median(old)
-    ratio = np.where(lit, (white.picture - black) / np.where(lit, old, 1), 1).astype(np.float32)
-    smooth = cv2.blur(ratio, (31, 31))
-    rest = ratio / np.maximum(smooth, 1e-3) - 1
-    noise = 1.4826 * float(np.median(np.abs(rest)))
-    edge = cv2.dilate((~lit).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
-    return np.asarray((rest < -max(SPOT, SPOT_NOISES * noise)) & ~edge)

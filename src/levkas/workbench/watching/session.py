@@ -463,7 +463,6 @@ def _measure(
     file: WatchedFile, camera: Camera, facts: Facts, values: np.ndarray | None
 ) -> FrameMeasures:
     """Read a frame that was not read yet, of a scan some lines, and measure it."""
-    white = file.role == "white"
     pattern, full = _pattern_of(camera, file, facts), _full_of(camera, facts)
     if facts.kind == "envi":
         cube = open_envi(file.path)
@@ -472,15 +471,15 @@ def _measure(
         values = np.concatenate([cube.read_lines(int(k), int(k) + 1) for k in chosen])
         middle = max(0, (lines - SIDE_BY_SIDE) // 2)
         detail = cube.read_lines(middle, min(lines, middle + SIDE_BY_SIDE)).mean(2)
-        found = measure_frame(values, full=full, white=white, detail=detail)
+        found = measure_frame(values, full=full, detail=detail)
         return _with_height(found, lines)
     if facts.pages > 1 and (camera.traits.reads_pages or not file.band):
         thin = max(1, -(-prod(facts.shape) * facts.pages // MOST_SAMPLES))
         pages = [read_frame(file.path, page=k)[::thin] for k in range(facts.pages)]
         values = np.stack([page if page.ndim == 2 else page[..., 0] for page in pages], -1)
-        return _with_height(measure_frame(values, full=full, white=white), facts.shape[0])
+        return _with_height(measure_frame(values, full=full), facts.shape[0])
     values = read_frame(file.path) if values is None else values
-    return measure_frame(values, full=full, pattern=pattern, white=white)
+    return measure_frame(values, full=full, pattern=pattern)
 
 
 def _with_height(measures: FrameMeasures, height: int) -> FrameMeasures:
