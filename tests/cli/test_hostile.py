@@ -8,19 +8,15 @@ import os
 import shutil
 import sys
 import time
-import tomllib
-from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
-import tomlkit
 import typer.main
 from typer.testing import CliRunner
 
 import levkas
-from levkas.campaign.campaign import load_campaign
 from levkas.cli import app
 from levkas.core.problems import Refused
 from levkas.database.manifest import list_files
@@ -117,67 +113,6 @@ def test_an_address_in_place_of_a_folder_is_refused(words, tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     assert run(*words.split()).exit_code != 0
     assert not [*tmp_path.iterdir()]
-
-
-CAMPAIGN = """
-[campaign]
-title = "T"
-setup = "base"
-output = "database"
-reference = { camera = "photo", band = "G" }
-[cameras.photo]
-kind = "image"
-files = ["photo/{target}.png"]
-bands = ["R", "G", "B"]
-[cameras.colour]
-kind = "mosaic"
-files = "colour/{target}.tif"
-pattern = [["R", "G"], ["G", "B"]]
-sensitivity = "table.csv"
-dark = ["dark"]
-[targets]
-white = { names = "white", reflectance = "table.csv" }
-objects = ["one", "two"]
-[objects.one]
-title = "The first"
-[publication]
-creators = [{ name = "A B", affiliation = "x" }]
-doi = "10.5281/zenodo.1"
-"""
-
-
-def leaves(value, place=()):
-    """Yield the place of every text of a record, and of every name of a table that a person chooses."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            if place and place[-1] in ("cameras", "objects"):
-                yield (*place, key), True
-            yield from leaves(inner, (*place, key))
-    elif isinstance(value, list):
-        for number, inner in enumerate(value):
-            yield from leaves(inner, (*place, number))
-    elif isinstance(value, str):
-        yield place, False
-
-
-def test_a_text_of_a_campaign_without_meaning_to_files_and_pages_is_refused(tmp_path):
-    (tmp_path / "table.csv").write_text("wavelength,a\n400,1\n")
-    path = tmp_path / "campaign.toml"
-    path.write_text(CAMPAIGN)
-    load_campaign(tmp_path)
-    for place, is_name in leaves(tomllib.loads(CAMPAIGN)):
-        for text in ("a\0b", "a\x01b", "x" * 300):
-            record = deepcopy(tomllib.loads(CAMPAIGN))
-            table = record
-            for key in place[:-1]:
-                table = table[key]
-            table[text if is_name else place[-1]] = table.pop(place[-1]) if is_name else text
-            path.write_text(tomlkit.dumps(record))
-            try:
-                load_campaign(tmp_path)
-                assert len(text) > 3, (place, "control characters were accepted")
-            except Refused as refused:
-                assert all(p.file and p.field for p in refused.problems)
 
 
 @pytest.mark.parametrize("output", ["x" * 250, "/", "a/" * 2100 + "b"])

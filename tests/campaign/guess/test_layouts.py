@@ -105,8 +105,8 @@ ROWS = {
         "{001,002}/{darkref=dark,whiteref=white}.tif\n{001,002}/scan.tif",
         {ONE + "dark": None}, {"001/studio", "002/studio"},
     ),
-    "darks and whites that bear the objects' names": (
-        "{icon1,saint}_{raw=,dark,white}.tif", {}, {"icon1/studio", "saint/studio"},
+    "an object under white light is no white": (
+        "page_{uv=page,white=page}.jpg", {"targets.white": None}, {"page/uv", "page/white"},
     ),
     "a chart through filters alone": (
         "colorchecker_{450,550,650}nm.png", {ONE + "kind": "bands", "targets.charts.colorchecker": "ColorChecker24"}, set(),

@@ -38,17 +38,6 @@ def test_red_is_where_the_painting_is_brighter_than_the_white_and_that_is_doubte
     assert named.letters == "".join(tiles[2].ravel()) and named.unknown
 
 
-def test_narrow_bands_tell_the_whole_pattern():
-    sees = {"G": {450: 0.2, 550: 1.0, 650: 0.1}, "B": {450: 1.0, 550: 0.1, 650: 0.02}}
-    sees["R"] = {450: 0.05, 550: 0.1, 650: 1.0}
-    phases = {
-        nm: np.array([[sees["G"][nm], sees["B"][nm]], [sees["R"][nm], sees["G"][nm]]]) * 200
-        for nm in (450, 550, 650)
-    }
-    named = name_mosaic(2, phases[550], narrow=phases)
-    assert (named.letters, named.unknown) == ("GBRG", "")
-
-
 def test_without_evidence_the_order_of_red_and_blue_is_unknown():
     assert name_mosaic(2, np.array([[0.7, 1.0], [1.0, 0.6]])).unknown
     other = name_mosaic(3, np.arange(1.0, 10.0).reshape(3, 3))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
@@ -29,8 +28,6 @@ MOST_TARGETS = 200
 """Targets of a camera, spread over all, of which a frame is decoded; more would take minutes."""
 STRUCTURED = 3.0
 """The others must have this many times a white's texture."""
-MOST_BANDS = 64
-"""Bands of a tunable filter, spread over its range, whose frames are decoded to see the mosaic behind it."""
 
 
 # --- darks and whites -------------------------------------------------------------------------
@@ -145,30 +142,3 @@ def mosaic_of(frames: Sequence[NamedFile], samples: Samples) -> GuessedMosaic | 
                 statistics = samples.of(frame.file)
                 shown |= {frame.target: statistics.phases[side]} if statistics else {}
     return name_mosaic(side, bright.phases[side], dark=dark, shown=shown)
-
-
-def mosaic_behind_filters(group: CameraGroup, samples: Samples) -> GuessedMosaic | None:
-    """Return the mosaic behind narrow filters, whose phases differ in other ways in every band; None for none."""
-    by_band = _by_wavelength(group.of_role("white") or group.of_role("object"))
-    narrow: dict[float, Statistics] = {}
-    for wavelength in spread(list(by_band), MOST_BANDS):
-        found = samples.of_some(by_band[wavelength], MOST_SAMPLED)
-        usable = [s for s in found if s.high < 0.98 * s.top] or found
-        if usable:
-            narrow[wavelength] = max(usable, key=lambda s: s.mean)
-    _, dark = _bright_and_dark(group.frames, samples)
-    sides = Counter(find_mosaic(s.phases, dark=dark) for s in narrow.values())
-    side, times = sides.most_common(1)[0] if sides else (0, 0)
-    if not side or (times < 2 and len(narrow) > 1):
-        return None
-    brightest = max(narrow.values(), key=lambda s: s.mean)
-    phases = {nm: s.phases[side] for nm, s in narrow.items()}
-    return name_mosaic(side, brightest.phases[side], dark=dark, narrow=phases)
-
-
-def _by_wavelength(frames: Sequence[NamedFile]) -> dict[float, list[NamedFile]]:
-    bands: dict[float, list[NamedFile]] = {}
-    for frame in frames:
-        if (number := frame.number("wavelength")) is not None:
-            bands.setdefault(float(number), []).append(frame)
-    return bands

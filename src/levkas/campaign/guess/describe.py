@@ -3,37 +3,33 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import isnan
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.campaign.camera_kinds import KINDS, CameraKind
-from levkas.campaign.discovery.patterns import Pattern
-from levkas.campaign.guess.appearance import mosaic_behind_filters, mosaic_of, tile_side
+from levkas.campaign.guess.appearance import mosaic_of, tile_side
 from levkas.campaign.guess.band_names import Question
 from levkas.campaign.guess.groups import CameraGroup, FilePatterns, find_patterns, safe_name
 from levkas.campaign.guess.names import FEW_GROUPS, NamedFile
 from levkas.campaign.guess.pixels import EVEN, MOST_SAMPLED, SMOOTH, Samples, bits_of, spread
 from levkas.campaign.guess.words import are_elements
 from levkas.core.text import counted
-from levkas.readers.spectra import parse_spectra
 
 if TYPE_CHECKING:
     from levkas.calibration.full_scale import FullScale
 
 LISTED = 6
 """Values that a question names."""
-READ_BYTES, ROWS = 20_000, 8
-"""Of a table that is looked at."""
-WAVELENGTHS_NM = (200.0, 3000.0)
 COARSE = 3
 """Times as many px in the other pictures from which a stack of pages is taken for maps of a scan, which have a quarter or less."""
 TAKE = "Take the # off one of the answers, in [cameras.{0}] and [targets]"
+FIELDS = ("wavelength", "exposure", "band", "sensor")
+"""Kinds of parts of names by which files of one series do not differ."""
 BRIGHT = 0.5
 """Share of a scale that must be reached to take it for the scale."""
 
@@ -152,17 +148,12 @@ def describe_camera(group: CameraGroup, samples: Samples, finest: int = 0) -> Ca
         notes.hints.append(
             'scan = "mirror"  # if darks and whites are whole frames, not lines of the scan'
         )
-    if traits.is_scanned and not group.of_role("dark") and any(map(_is_hyspex, group.frames)):
-        notes.unknown.append(
-            "the dark: HySpex keeps it in the .hyspex file, before the scan, where it is not read; export by "
-            "HySpex RAD, or capture a dark"
-        )
     if traits.is_calibrated:
         keys |= _scale_keys(group, samples, notes)
         keys |= _exposure_keys(group, files)
         _check_exposures(group, notes)
         _check_templates(group, samples, notes)
-    _check_strips(group, files, kind, notes)
+    _check_series(group, files, kind, samples, notes)
     return CameraGuess(
         name=group.name,
         keys=keys,
@@ -204,88 +195,17 @@ def with_choices(
         if "{shot}" in str(camera.keys["files"].value)
         else "an object each:"
     )
-    others = camera.choices or (Choice(each, own, shown_alone),)
-    others = tuple(replace(choice, keys=choice.keys or own) for choice in others)
     return replace(
         camera,
-        choices=(Choice(f"bands of {one}:", keys, targets), *others),
-        unknown=(
-            unknown,
-            *(text for text in camera.unknown if TAKE.format(camera.name) not in text),
-        ),
+        choices=(Choice(f"bands of {one}:", keys, targets), Choice(each, own, shown_alone)),
+        unknown=(unknown, *camera.unknown),
     )
-
-
-def with_series_choices(
-    camera: CameraGuess, group: CameraGroup, samples: Samples, under_lamps: Collection[str]
-) -> CameraGuess:
-    """Leave open what pictures are that numbers alone tell apart, and that may be of one object under several lights or exposures.
-
-    An .lp file lists them, by their names `under_lamps`; or they differ by more than shots do, and not in what they show.
-    """
-    files, objects = camera.keys["files"].value, group.of_role("object")
-    patterns = [Pattern.parse(text) for text in ([files] if isinstance(files, str) else files)]
-    shots = any("shot" in pattern.fields for pattern in patterns)
-    series: dict[object, list[NamedFile]] = {}
-    for frame in objects if not camera.traits.is_scanned else ():
-        shown = frame.target if shots else re.sub(r"[\W\d_]+", "", frame.target)
-        time = frame.exposures_s if camera.traits.is_calibrated else ()
-        fields = _fields(frame, patterns).items()
-        rest = tuple(pair for pair in fields if pair[0] not in ("shot", "target"))
-        series.setdefault((shown, time, rest), []).append(frame)
-    several = [frames for frames in series.values() if len(frames) > 1]
-    lit = [f for frames in several for f in frames if f.path.stem.casefold() in under_lamps]
-    why = f"an .lp file lists {len(lit)} pictures under a lamp each" if len(lit) > 1 else ""
-    dark = samples.of_some(group.of_role("dark"), 1)
-    for frames in spread(several, FEW_GROUPS) if not why else ():
-        what = samples.difference([f.file for f in frames], dark[0].mean if dark else 0.0)
-        if what and (shots or what in ("light", "exposure")):
-            why = f"{frames[0].file.name} and others differ in {what}"
-    if not why:
-        return camera
-    middle = {frames[0].target: frames[len(frames) // 2] for frames in reversed(series.values())}
-    one: dict[str, Guess] = {}
-    own: dict[str, Guess] = {}
-    answers = (
-        "an object each",
-        "one object under several lights or exposures, of which one is taken",
-    )
-    if shots:
-        answers = ("shots of one light and exposure, to average", "no shots: one of them is taken")
-        numbers = [str(_fields(frame, patterns).get("shot", "*")) for frame in middle.values()]
-        texts = [*dict.fromkeys(p.text.replace("{shot}", n) for p in patterns for n in numbers)]
-        own, one = {"files": Guess(files)}, {"files": Guess(texts if len(texts) > 1 else texts[0])}
-    question = (
-        f"whether {several[0][0].file.name} and {len(several[0]) - 1} more are {answers[0]}: {why}"
-    )
-    return replace(
-        camera,
-        choices=(
-            Choice(f"{answers[0]}:", own, tuple(dict.fromkeys(f.target for f in objects))),
-            Choice(f"{answers[1]}:", one, tuple(dict.fromkeys(f.target for f in middle.values()))),
-        ),
-        unknown=(f"{camera.name}: {question}. {TAKE.format(camera.name)}", *camera.unknown),
-    )
-
-
-def _fields(frame: NamedFile, patterns: Sequence[Pattern]) -> dict[str, Any]:
-    """Return the values of the fields in a file's name, by the first of some patterns that it fits."""
-    path = frame.path
-    for name in (frame.file.name, f"../{path.parent.name}/{path.name}"):
-        for pattern in patterns:
-            if (found := pattern.read(name)) is not None:
-                return found
-    return {}
 
 
 def _setup(frames: Sequence[NamedFile], kind: str) -> Guess:
     patterns = find_patterns(frames).of_kind(kind)
     why = "the same camera in a separate folder: another lighting"
     return Guess(patterns[0] if len(patterns) == 1 else patterns, why)
-
-
-def _is_hyspex(frame: NamedFile) -> bool:
-    return any(frame.path.with_suffix(end).exists() for end in (".hyspex", ".HYSPEX"))
 
 
 # --- kind -------------------------------------------------------------------------------------
@@ -351,10 +271,13 @@ def _mosaic_keys(
         if facts.kind == "raw":
             return {}
         return {"pattern": Guess(facts.pattern, "from the header")} if in_pattern else {}
-    if in_pattern:
-        mosaic = mosaic_of(group.frames, samples)
-    else:
-        mosaic = mosaic_behind_filters(group, samples)
+    if not in_pattern:
+        if side := tile_side(group.frames, samples):
+            notes.unknown.append(
+                f"the mosaic behind the filters: levels repeat every {side} sensels, and `pattern` says its colours"
+            )
+        return {}
+    mosaic = mosaic_of(group.frames, samples)
     if mosaic is None:
         return {}
     if mosaic.unknown:
@@ -507,15 +430,9 @@ def _check_exposures(group: CameraGroup, notes: CameraNotes) -> None:
         levels = [f"{role} {' to '.join(f'{t:g}' for t in span)} s" for role, span in spans.items()]
         notes.about.append(f"Exposures: {', '.join(levels)}.")
     unclear = {text for texts in silent.values() for text in texts}
-    if stated and silent:
+    if (stated and silent) or len(unclear) > 1:
         notes.unknown.append(
-            f"the exposure of {' and '.join(silent)} frames: other frames state it, and a build "
-            "needs all or none; list them in a `manifest`"
-        )
-    elif len(unclear) > 1:
-        shown = ", ".join(sorted(f"{text!r}" for text in unclear if text)[:3])
-        notes.unknown.append(
-            f"the exposures: the headers give no unit ({shown}); list them in a `manifest`"
+            f"the exposure of {' and '.join(silent)} frames, or its unit: a build needs all or none; list them in a `manifest`"
         )
 
 
@@ -534,20 +451,12 @@ def _check_templates(group: CameraGroup, samples: Samples, notes: CameraNotes) -
             "whether darks and whites are swapped: the darks are the brightest frames"
         )
         return
-    uneven = [
-        s
-        for s in samples.of_some(group.of_role("white"), MOST_SAMPLED)
-        if s.texture > 2 * SMOOTH or s.unevenness > EVEN
-    ]
-    if uneven:
-        notes.unknown.append(
-            "whether the white is one: it is not even, as a board that fills the view is"
-        )
     if dark > 0.5 * min(v for v in (white, shown, np.inf) if not isnan(v)):
         notes.unknown.append(f"whether the darks are dark: their mean is {dark:.4g} counts")
-    if white < shown:
+    whites = samples.of_some(group.of_role("white"), MOST_SAMPLED)
+    if white < shown or any(s.texture > 2 * SMOOTH or s.unevenness > EVEN for s in whites):
         notes.unknown.append(
-            f"whether the white is one: its mean is {white:.4g}, the object's {shown:.4g} counts"
+            "whether the white is one: it is not even, as a board that fills the view is, or darker than the object"
         )
 
 
@@ -555,55 +464,36 @@ def _level(counts: float) -> str:
     return f"{counts:.0f}" if counts >= 10 else f"{counts:.2g}"
 
 
-def _check_strips(group: CameraGroup, files: FilePatterns, kind: str, notes: CameraNotes) -> None:
-    """Doubt several files of a scan: strips may lie beside one another, or follow one another."""
-    several = [
-        frames for frames in group.by_target(group.of_role("object")).values() if len(frames) > 1
-    ]
-    if files.shots and KINDS[kind].is_scanned and several:
-        names = ", ".join(frame.path.name for frame in several[0][:LISTED])
-        notes.unknown.append(
-            f"whether {names} are strips beside one another, from left to right: parts one after the other, as "
-            "Headwall's raw_0 and raw_2000 are, need {row} where their numbers stand in `files`, and a reference that shows all of them"
-        )
-
-
-# --- tables beside the captures ---------------------------------------------------------------
-
-
-def find_white_table(root: Path, tables: Sequence[str]) -> str | None:
-    """Return the table of a white board's reflectance: over wavelength, shares of one."""
-    for table in tables:
-        if re.search(r"white|reflect", Path(table).stem, re.IGNORECASE):
-            _, rows = _read(root / table)
-            if len(rows) and rows.shape[1] == 2 and ((rows[:, 1] > 0) & (rows[:, 1] <= 1.5)).all():
-                return table
-    return None
-
-
-def with_sensitivity(camera: CameraGuess, root: Path, tables: Sequence[str]) -> CameraGuess:
-    """Give a camera the table with its name."""
-    if not camera.traits.is_broad:
-        return camera
-    for table in tables:
-        if camera.name.casefold() not in Path(table).stem.casefold():
-            continue
-        names, rows = _read(root / table)
-        if len(rows) and len(names) > 1:
-            keys = {**camera.keys, "sensitivity": Guess(table, "the table with its name")}
-            return replace(camera, keys=keys)
-    return camera
-
-
-def _read(path: Path) -> tuple[list[str], np.ndarray]:
-    """Return the header and the first rows of a table over wavelength; no rows where it is none."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as handle:
-            lines = handle.read(READ_BYTES).splitlines()[: ROWS + 1]
-        table, head = parse_spectra("\n".join(lines))
-    except (OSError, ValueError):
-        return [], np.empty((0, 0))
-    low, high = WAVELENGTHS_NM
-    fits = len(head) > 1 and table.shape[1:] == (len(head),) and np.isfinite(table).all()
-    fits = fits and bool(((table[:, 0] > low) & (table[:, 0] < high)).all())
-    return head, table if fits else table[:0]
+def _check_series(
+    group: CameraGroup, files: FilePatterns, kind: str, samples: Samples, notes: CameraNotes
+) -> None:
+    """Doubt files that numbers alone tell apart: parts of a scan; pictures under several lights or exposures."""
+    scanned, series = KINDS[kind].is_scanned, dict[object, list[NamedFile]]()
+    for frame in group.of_role("object"):
+        shown = frame.target if files.shots else re.sub(r"[\W\d_]+", "", frame.target)
+        parts = [t for segment in frame.segments for t in segment]
+        fields = tuple(t.text for t in parts if t.kind in FIELDS or t.names_channel)
+        time = frame.exposures_s if KINDS[kind].is_calibrated else ()
+        facts = frame.facts.wavelengths or frame.facts.band_names
+        series.setdefault((shown, fields, time, facts, frame.tile), []).append(frame)
+    several = [frames for frames in series.values() if len(frames) > 1]
+    dark = samples.of_some(group.of_role("dark"), 1)
+    for frames in spread(several, FEW_GROUPS):
+        those = f"{frames[0].file.name} and {len(frames) - 1} more"
+        if scanned:
+            if files.shots:
+                notes.unknown.append(
+                    f"whether {those} are strips beside one another: parts one after the other need {{row}} in `files`"
+                )
+            return
+        what = samples.difference([f.file for f in frames], dark[0].mean if dark else 0.0)
+        if files.shots and what:
+            notes.unknown.append(
+                f"whether {those} are shots of one light, to average: they differ in {what}"
+            )
+            return
+        if what in ("light", "exposure"):
+            notes.unknown.append(
+                f"whether {those} are an object each, or one of which one is taken: they differ in {what}"
+            )
+            return

@@ -139,8 +139,6 @@ def _attach_templates(groups: list[CameraGroup]) -> tuple[list[CameraGroup], lis
             continue
         size = group.frames[0].file.signature
         fits = [o for o in owners if any(f.file.signature == size for f in o.frames)]
-        best = max((_shared_words(group, o) for o in fits), default=0)
-        fits = [o for o in fits if _shared_words(group, o) == best]
         names = sorted({f.file.name for f in group.frames}, key=natural)
         shown = names[0] if len(names) == 1 else f"{names[0]} … {names[-1]} ({len(names)} files)"
         what = "/".join(sorted({f.role for f in group.frames}))
@@ -156,14 +154,6 @@ def _attach_templates(groups: list[CameraGroup]) -> tuple[list[CameraGroup], lis
             sides = "x".join(str(n) for n in reversed(group.frames[0].facts.shape[:2]))
             left_out.append(f"{shown}: {what} of {sides}; no frame of an object has this size")
     return owners, left_out
-
-
-def _shared_words(group: CameraGroup, owner: CameraGroup) -> int:
-    """Count the words that the paths of two groups have in common."""
-    one, other = (
-        Counter(t.word for s in g.frames[0].segments for t in s if t.word) for g in (group, owner)
-    )
-    return sum((one & other).values())
 
 
 # --- other lightings --------------------------------------------------------------------------

@@ -30,35 +30,26 @@ def leave_out_leftovers(
     -------
     kept : list of CaptureFile
     left_out : list of str
-        What was left out and of what it is a preview or copy, a line for each folder and kind.
+        What was left out and of which file it is a preview, result or copy, a line for each folder.
     """
-    places = {(c.folders, c.path.name.casefold()) for c in captures}
+    places = {(c.folders, c.path.name.casefold()): c for c in captures}
     measured: dict[str, list[CaptureFile]] = defaultdict(list)
     scans: dict[str, list[CaptureFile]] = defaultdict(list)
     for capture in captures:
-        stem = capture.path.stem.casefold()
+        stem, facts = capture.path.stem.casefold(), capture.facts
         if capture.path.suffix.lower() not in LOSSY:
             measured[stem].append(capture)
-        if (
-            capture.facts.is_cube or capture.facts.kind == "raw"
-        ) and capture.facts.dtype.startswith("uint"):
+        if (facts.is_cube or facts.kind == "raw") and facts.dtype.startswith("uint"):
             scans[stem].append(capture)
     kept: list[CaptureFile] = []
-    previews: dict[tuple[str, ...], list[tuple[CaptureFile, CaptureFile]]] = defaultdict(list)
-    results: dict[tuple[str, ...], list[tuple[CaptureFile, CaptureFile]]] = defaultdict(list)
-    copies: list[str] = []
+    again: dict[object, list[str]] = defaultdict(list)
     for capture in captures:
-        if original := _computed(capture, scans):
-            results[capture.folders].append((capture, original))
-        elif original := _previewed(capture, measured):
-            previews[capture.folders].append((capture, original))
-        elif name := _copied(capture, places):
-            copies.append(f"{capture.name}: by its name a copy of {name}")
+        original = _computed(capture, scans) or _previewed(capture, measured)
+        if original := original or _copied(capture, places):
+            again[capture.folders].append(f"{capture.name} ({original.name})")
         else:
             kept.append(capture)
-    lines = [_line(pairs, "a preview") for pairs in previews.values()]
-    lines += [_line(pairs, "a result") for pairs in results.values()]
-    return kept, [*lines, *copies]
+    return kept, [_line(names) for names in again.values()]
 
 
 def _computed(capture: CaptureFile, scans: dict[str, list[CaptureFile]]) -> CaptureFile | None:
@@ -93,15 +84,15 @@ def _previewed(capture: CaptureFile, measured: dict[str, list[CaptureFile]]) -> 
     return next((c for c in named if anywhere or c.folders == capture.folders), None)
 
 
-def _copied(capture: CaptureFile, places: set[tuple[tuple[str, ...], str]]) -> str:
-    """Return the name of the file beside it that a capture is a copy of; "" for none."""
+def _copied(
+    capture: CaptureFile, places: dict[tuple[tuple[str, ...], str], CaptureFile]
+) -> CaptureFile | None:
+    """Return the file beside it that a capture is a copy of."""
     found = COPIES.fullmatch(capture.path.stem)
     name = f"{found['name']}{capture.path.suffix}" if found else capture.path.name
-    is_there = (capture.folders, name.casefold()) in places
-    return name if is_there and name != capture.path.name else ""
+    return places.get((capture.folders, name.casefold())) if name != capture.path.name else None
 
 
-def _line(pairs: Sequence[tuple[CaptureFile, CaptureFile]], what: str) -> str:
-    first, original = pairs[0]
-    more = f" and {len(pairs) - 1} more" if len(pairs) > 1 else ""
-    return f"{first.name}{more}: by its name {what} of {original.name}"
+def _line(names: Sequence[str]) -> str:
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    return f"{names[0]}{more}: by its name a preview, a result or a copy of another file"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 
 from levkas.campaign.discovery.file_index import DEEPEST, FolderListings, composed, walk_folders
 from levkas.core.problems import Refused
@@ -78,15 +78,6 @@ class Listing:
     tables: list[str] = field(default_factory=list)
     unreadable: dict[str, str] = field(default_factory=dict)
     others: list[str] = field(default_factory=list)
-
-    def under_lamps(self) -> set[str]:
-        """Return the names, without suffix, that .lp files list: pictures of one object under a lamp each, and the lamp's direction."""
-        rows: list[list[str]] = []
-        for name in self.others:
-            if name.lower().endswith(".lp"):
-                with (self.root / name).open(errors="replace") as handle:
-                    rows += [line.rsplit(maxsplit=3) for line in handle.read(1 << 20).splitlines()]
-        return {PureWindowsPath(row[0]).stem.casefold() for row in rows if len(row) == 4}
 
 
 def list_captures(root: str | Path) -> Listing:

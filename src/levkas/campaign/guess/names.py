@@ -134,8 +134,6 @@ def name_targets(
     named: dict[Path, NamedFile] = {}
     for scan in find_scan_folders(captures, tokens, samples):
         named |= {n.path: n for n in _of_scan(scan, captures, tokens)}
-    apart = [c for c in captures if c.path not in named]
-    named |= {n.path: n for n in _with_templates_beside(apart, tokens)}
     rest = [c for c in captures if c.path not in named]
     places = _places(rest, tokens, samples)
     named |= {
@@ -146,7 +144,26 @@ def name_targets(
     in_stem = [c for c in rest if places[c.path] == STEM]
     for cluster in _clusters(in_stem, tokens):
         named |= {n.path: n for n in _StemCluster(cluster, tokens, samples).named()}
-    return [named[c.path] for c in captures], questions
+    return _without_white_light([named[c.path] for c in captures], tokens), questions
+
+
+def _without_white_light(named: list[NamedFile], tokens: Tokens) -> list[NamedFile]:
+    """Return files of which none is a white that shows an object under white light: ``page_white`` beside ``page_uv``."""
+    if any(one.role == "dark" for one in named):
+        return named
+    pictured = [
+        one.target
+        for one in named
+        if one.role == "object" and any(t.text.lower() in IMAGES for t in one.stem)
+    ]
+    made = []
+    for one in named:
+        parts = tokens[one.path]
+        shown = next((p for p in pictured if _with_target(parts, p) != parts), "")
+        if one.role == "white" and shown:
+            one = NamedFile(one.file, shown, "object", one.folders, _with_target(parts, shown))
+        made.append(one)
+    return made
 
 
 def _of_scan(
@@ -166,52 +183,6 @@ def _of_scan(
             continue
         role = "object" if capture.path in own else role_in(capture.path.stem) or "object"
         yield NamedFile(capture, scan.object, role, tuple(folders), marked)
-
-
-def _with_templates_beside(captures: Sequence[CaptureFile], tokens: Tokens) -> Iterator[NamedFile]:
-    """Name files of one folder whose darks and whites bear the names of its objects: ``icon1_white``, ``icon1_raw``."""
-    groups: dict[object, list[CaptureFile]] = defaultdict(list)
-    for capture in captures:
-        groups[capture.folders, capture.path.suffix.lower(), capture.signature].append(capture)
-    for group in groups.values():
-        templates = [c for c in group if any(t.role in ("dark", "white") for t in tokens[c.path])]
-        shown = [c for c in group if not any(t.role for t in tokens[c.path])]
-        objects = {_beside_role(tokens[c.path]) for c in templates}
-        if len(objects) < 2 or "" in objects:
-            continue
-        marked = {
-            c.path: [
-                m for name in objects if (m := _with_target(tokens[c.path], name)) != tokens[c.path]
-            ]
-            for c in shown
-        }
-        if not marked or not all(
-            len(found) == 1
-            and all(t.kind == "target" or t.word.lower() in GENERIC | {""} for t in found[0])
-            for found in marked.values()
-        ):
-            continue
-        for capture in shown:
-            (stem,) = marked[capture.path]
-            target = next(
-                name for name in objects if _with_target(tokens[capture.path], name) == stem
-            )
-            yield NamedFile(capture, target, "object", capture.folders, stem)
-        for capture in templates:
-            stem = _with_target(tokens[capture.path], _beside_role(tokens[capture.path]))
-            yield _template_of(capture, stem, list(capture.folders))
-
-
-def _beside_role(tokens: Sequence[Token]) -> str:
-    """Return what stands before a word such as ``white`` in a name, else behind it, without units and counts."""
-    roles = [i for i, t in enumerate(tokens) if t.role]
-    before, after = list(tokens[: roles[0]]), list(tokens[roles[-1] + 1 :])
-    for part in (before, after):
-        while part and (part[-1].kind in ("number", *TYPED) or part[-1].text.lower() in GENERIC):
-            part.pop()
-        while part and part[0].kind in TYPED:
-            part.pop(0)
-    return joined(before or after)
 
 
 def _template_of(capture: CaptureFile, tokens: tuple[Token, ...], folders: list[str]) -> NamedFile:

@@ -29,7 +29,6 @@ GREENS_ALIKE = 0.03
 """The two greens of a Bayer tile differ by less of their mean, other colours by more."""
 FIRST = "whether red or blue comes first in the mosaic"
 DIAGONALS = (((0, 0), (1, 1)), ((0, 1), (1, 0)))
-LONG_NM, MIDDLE_NM, SHORT_NM = (600.0, 720.0), (510.0, 570.0), (380.0, 480.0)
 T = TypeVar("T")
 MOST_SAMPLED, FEW_SHOTS = 6, 3
 """Frames of one kind that are decoded, and of one scene that are compared."""
@@ -209,7 +208,6 @@ def name_mosaic(
     *,
     dark: float = 0.0,
     shown: Mapping[str, np.ndarray] | None = None,
-    narrow: Mapping[float, np.ndarray] | None = None,
 ) -> GuessedMosaic:
     """Name the channels of a mosaic.
 
@@ -223,8 +221,6 @@ def name_mosaic(
         Level without light.
     shown : mapping of object to ndarray, optional
         Phase means of objects, where `bright` is a white.
-    narrow : mapping of nm to ndarray, optional
-        Phase means behind narrow filters.
 
     Examples
     --------
@@ -233,8 +229,6 @@ def name_mosaic(
     >>> name_mosaic(2, white, dark=66, shown=icon).letters
     'RGGB'
     """
-    if narrow and side == 2 and (mosaic := _by_wavelength(narrow, dark)):
-        return mosaic
     diagonal = _greens(bright - dark) if side == 2 else None
     if diagonal is None:
         names = [f"B{i + 1}" for i in range(side * side)]
@@ -277,26 +271,6 @@ def _greens(levels: np.ndarray) -> int | None:
     if min(main, other) > GREENS_ALIKE or max(main, other) < 2 * min(main, other) + 0.01:
         return None
     return 0 if main < other else 1
-
-
-def _by_wavelength(narrow: Mapping[float, np.ndarray], dark: float) -> GuessedMosaic | None:
-    """Red, green and blue are the phases that see long, middle and short waves best."""
-    shares: dict[str, np.ndarray] = {}
-    for name, (low, high) in (("R", LONG_NM), ("G", MIDDLE_NM), ("B", SHORT_NM)):
-        levels = [phases - dark for nm, phases in narrow.items() if low <= nm <= high]
-        if not levels:
-            return None
-        shares[name] = np.mean([p / max(float(p.sum()), 1e-9) for p in levels], axis=0)
-    red, blue = (np.unravel_index(int(shares[n].argmax()), (2, 2)) for n in "RB")
-    grid = np.full((2, 2), "G", dtype=object)
-    grid[red], grid[blue] = "R", "B"
-    greens = np.argwhere(grid == "G")
-    if len(greens) != 2 or abs(greens[0] - greens[1]).sum() != 2:
-        return None
-    rows = tuple(tuple(str(n) for n in row) for row in grid)
-    return GuessedMosaic(
-        rows, "one phase is most sensitive to long wavelengths (R), one to short ones (B)"
-    )
 
 
 # --- frames, decoded once ---------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 import tomllib
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,7 @@ from levkas.campaign.guess.describe import (
     CameraGuess,
     Guess,
     describe_camera,
-    find_white_table,
     with_choices,
-    with_sensitivity,
-    with_series_choices,
 )
 from levkas.campaign.guess.groups import CameraGroup, group_cameras
 from levkas.campaign.guess.leftovers import leave_out_leftovers
@@ -31,7 +28,7 @@ from levkas.campaign.guess.listing import CaptureFile, Listing
 from levkas.campaign.guess.names import name_targets
 from levkas.campaign.guess.pixels import Samples
 from levkas.campaign.guess.tiles import mark_tiles
-from levkas.campaign.guess.words import GENERIC, TARGET, chart_in
+from levkas.campaign.guess.words import chart_in
 from levkas.campaign.schema.cross_checks import find_contradictions
 from levkas.campaign.schema.names import is_safe_name
 from levkas.campaign.schema.tables import Document
@@ -39,7 +36,7 @@ from levkas.campaign.schema.toml import to_inline_toml, to_toml_key
 from levkas.core.cube import band_labels
 from levkas.core.problems import Problem, Refused
 from levkas.readers.frames import read_headers
-from levkas.readers.orientation import describe_turn, grid_keys
+from levkas.readers.orientation import grid_keys
 
 WIDTH = 100
 COLUMN = 53
@@ -127,10 +124,6 @@ def propose(listing: Listing) -> Proposal:
     unknown = by_eye + _without_conflicts(groups)
     finest = max(max(g.frames[0].facts.shape[:2]) for g in groups)
     cameras = [describe_camera(g, samples, finest) for g in groups]
-    cameras = [with_sensitivity(c, listing.root, listing.tables) for c in cameras]
-    lamps = listing.under_lamps()
-    pairs = zip(cameras, groups, strict=True)
-    cameras = [with_series_choices(c, g, samples, lamps) for c, g in pairs]
     if questions:
         cameras = _with_questions(cameras, groups, questions, captures, samples)
     alone = len(cameras) == 1 and not cameras[0].traits.is_calibrated and not cameras[0].choices
@@ -141,12 +134,14 @@ def propose(listing: Listing) -> Proposal:
         )
     shapes = [group.frames[0].facts.shape for group in groups]
     sizes = [shape[0] * shape[1] for shape in shapes]
-    reference, why = _reference(cameras, sizes, _beside_scans(groups, cameras))
+    reference, why = _reference(cameras, sizes)
     cameras, unrelated = _without_unrelated(cameras, reference)
     left_out += unrelated
     how = "by their histograms" if by_eye else "by their names"
-    targets, objects, more = _targets(listing, cameras, reference.name, how)
+    targets, objects, more = _targets(cameras, reference.name, how)
     unknown += [text for camera in cameras for text in camera.unknown] + more
+    if tables := [name for name in listing.tables if re.search("(?i)white|reflect|sensitiv", name)]:
+        unknown.append(f"what {_listed(tables)} hold: `reflectance` of a white, or `sensitivity`")
     unreadable = {**listing.unreadable, **samples.refused}
     left_out += [f"{name}: {reason}" for name, reason in unreadable.items()]
     grid, more = _upright(next(g for g in groups if g.name == reference.name))
@@ -156,8 +151,7 @@ def propose(listing: Listing) -> Proposal:
     proposal = Proposal(
         root=listing.root,
         described={
-            "title": Guess(_title(listing.root)),
-            **_date(listing),
+            "title": Guess(listing.root.resolve().name.replace("_", " ")),
             "reference": Guess(keys, why),
         },
         cameras=tuple(_with_own_templates(c, targets) for c in cameras),
@@ -252,28 +246,8 @@ def _read_back(proposal: Proposal, captures: Sequence[CaptureFile]) -> list[str]
 # --- reference --------------------------------------------------------------------------------
 
 
-def _beside_scans(groups: Sequence[CameraGroup], cameras: Sequence[CameraGuess]) -> set[str]:
-    """Return cameras of plain pictures that lie in the folders of objects beside another camera's raw frames."""
-    raw = {
-        g.folders[: g.folders.index(TARGET) + 1]
-        for g, camera in zip(groups, cameras, strict=True)
-        if camera.traits.is_calibrated and TARGET in g.folders
-    }
-    return {
-        camera.name
-        for g, camera in zip(groups, cameras, strict=True)
-        if not camera.traits.is_calibrated
-        and any(g.folders[: len(above)] == above for above in raw)
-    }
-
-
-def _reference(
-    cameras: Sequence[CameraGuess], sizes: Sequence[int], rendered: Container[str]
-) -> tuple[CameraGuess, str]:
-    """Return the camera to register the others to: it saw most objects, has most bands in the visible.
-
-    Pictures that may be `rendered` from raw frames are none where there is another.
-    """
+def _reference(cameras: Sequence[CameraGuess], sizes: Sequence[int]) -> tuple[CameraGuess, str]:
+    """Return the camera to register the others to: it saw most objects, has most bands in the visible."""
 
     def worth(i: int) -> tuple[float, ...]:
         camera = cameras[i]
@@ -284,7 +258,7 @@ def _reference(
             re.fullmatch(PHOTOGRAPHS, camera.name.lower())
         )
         order = camera.traits.rank, len(visible), plain, sizes[i]
-        return camera.name not in rendered, objects, near or not camera.centres, *order
+        return objects, near or not camera.centres, *order
 
     best = max(range(len(cameras)), key=worth)
     why = (
@@ -346,26 +320,14 @@ def _band(camera: CameraGuess) -> str:
 
 def _upright(group: CameraGroup) -> tuple[dict[str, Guess], list[str]]:
     """Return the keys of [grid] that show the reference camera's files upright, and what is unknown where they differ."""
-    stated = {
-        t: _orientation(frames[0].path) for t, frames in group.by_target(group.objects).items()
-    }
-    turned = sorted({turn for turn in stated.values() if turn})
-    if not turned:
-        return {}, []
-    if len(set(stated.values())) > 1:
-        names = ", ".join(
-            list(dict.fromkeys(t for t, turn in stated.items() if turn))[:MOST_LISTED]
-        )
+    stated = {_orientation(frames[0].path) for frames in group.by_target(group.objects).values()}
+    if len(stated) > 1:
         return {}, [
-            f"how the grid is turned: by their EXIF orientation viewers turn the files of {names}, and those of other "
-            "objects not, or otherwise; [grid] turns all objects alike"
+            "how the grid is turned: the files of objects differ in their EXIF orientation, and [grid] turns all alike"
         ]
-    why = f"EXIF orientation {turned[0]}: viewers show these files {describe_turn(turned[0])}"
-    keys = grid_keys(turned[0])
-    return {
-        key: Guess(value, why if key == "rotate" or len(keys) == 1 else "")
-        for key, value in keys.items()
-    }, []
+    turn = stated.pop()
+    why = f"EXIF orientation {turn}: so viewers show these files"
+    return {key: Guess(value, why) for key, value in (grid_keys(turn) if turn else {}).items()}, []
 
 
 def _orientation(path: Path) -> int | None:
@@ -379,7 +341,7 @@ def _orientation(path: Path) -> int | None:
 
 
 def _targets(
-    listing: Listing, cameras: Sequence[CameraGuess], reference: str, how: str
+    cameras: Sequence[CameraGuess], reference: str, how: str
 ) -> tuple[dict[str, Guess], list[str], list[str]]:
     """Return the keys of [targets], the objects, and what is unknown of them."""
     gathered: dict[str, dict[str, None]] = {"dark": {}, "white": {}, "chart": {}, "object": {}}
@@ -393,14 +355,19 @@ def _targets(
     if dark := sorted(by_role["dark"], key=natural):
         keys["dark"] = Guess(dark[0] if len(dark) == 1 else dark, how)
     if white := sorted(by_role["white"], key=natural):
-        keys["white"], shown = _white(listing, white, how)
-        unknown += shown if set(white) & calibrated else []
+        one: object = white[0] if len(white) == 1 else white
+        keys["white"] = Guess(one, f"{how}; the files do not give its reflectance")
+        unknown += [UNKNOWN_WHITE] if set(white) & calibrated else []
         unknown += [
             f"whether {name} is a white, or {one} under white light"
             for name in white
             for one in by_role["object"]
             if name.startswith(one)
         ]
+    if len(dark) > 1 or len(white) > 1:
+        unknown.append(
+            "whether each dark or white serves all objects: {object} in `files` says which one it serves"
+        )
     charts = {t: _chart(t) for t in sorted(by_role["chart"], key=natural)}
     if charts:
         keys["charts"] = Guess(charts, "from their names; check the type of each chart")
@@ -418,14 +385,6 @@ def _targets(
     if objects and not any(camera.choices for camera in cameras):
         keys["objects"] = Guess(objects, "all other targets" if dark or white or charts else "")
     return keys, objects, unknown
-
-
-def _white(listing: Listing, names: list[str], how: str) -> tuple[Guess, list[str]]:
-    """Return the white board, with a table of its reflectance where one lies beside."""
-    one: object = names[0] if len(names) == 1 else names
-    if table := find_white_table(listing.root, listing.tables):
-        return Guess({"names": one, "reflectance": table}, "the table beside it"), []
-    return Guess(one, f"{how}; the files do not give its reflectance"), [UNKNOWN_WHITE]
 
 
 def _hints(targets: dict[str, Guess]) -> tuple[str, ...]:
@@ -459,17 +418,6 @@ def _with_own_templates(camera: CameraGuess, targets: dict[str, Guess]) -> Camer
 
 
 # --- the campaign -----------------------------------------------------------------------------
-
-
-def _title(root: Path) -> str:
-    here = root.resolve()
-    name = here.parent.name if here.name.lower() in GENERIC and here.parent.name else here.name
-    return name.replace("_", " ")
-
-
-def _date(listing: Listing) -> dict[str, Guess]:
-    dates = sorted(s.facts.captured for s in listing.captures if s.facts.captured)
-    return {"date": Guess(dates[0][:10], "of the earliest capture, by its header")} if dates else {}
 
 
 def _shortened(lines: Sequence[str]) -> list[str]:
