@@ -116,7 +116,7 @@ def test_every_problem_is_listed_not_the_first(tmp_path):
         ("[campaign]", '[campaign]\ntitle = "a\\u0001b"', "campaign.title"),
         ("[campaign]", '[campaign]\noutput = "a\\u0000b"', "campaign.output"),
         ("[campaign]", '[objects.one]\ntitle = "a\\u0001b"\n[campaign]', "objects.one.title"),
-        ("[campaign]", '[targets]\nobjects = ["a\\u0000b"]\n[campaign]', "objects.a\0b"),
+        ("[campaign]", '[targets]\nobjects = ["a\\u0000b"]\n[campaign]', "targets.objects"),
         ("[campaign]", "[grid]\nregion = [0, 0, 0, 5]\n[campaign]", "grid.region"),
         ("[campaign]", "[grid]\nsize = [100]\n[campaign]", "grid.size"),
         ("[campaign]", "[grid]\nsize = [10.5, 3]\n[campaign]", "grid.size"),
