@@ -48,7 +48,7 @@ class Case:
 
 STRAY, STRAY_UNKNOWN = "stray light", "stray light was not measured"
 LAMP = "how the lamp changed was not measured"
-LAMP_UNDETECTED = "no change of the lamp was found within the white"
+LAMP_UNDETECTED = "whether the lamp changed all at once"
 CHART = np.array([
     (0.062, 0.084, 0.179), (0.213, 0.276, 0.595), (0.331, 0.185, 0.147), (0.061, 0.17, 0.112), (0.426, 0.208, 0.313),
     (0.381, 0.488, 0.188), (0.055, 0.199, 0.584), (0.4, 0.096, 0.098), (0.128, 0.093, 0.591), (0.139, 0.051, 0.166),

@@ -35,14 +35,12 @@ def test_a_camera_that_keeps_its_promises_is_right_without_a_word(case, tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("drift", "lines", "named", "stated"),
-    [(0.02, 480, True, False), (0.02, 1500, False, True), (0.0, 480, False, True)],
+    ("drift", "lines", "named"), [(0.02, 480, True), (0.02, 1500, False), (0.0, 480, False)]
 )
 def test_a_lamp_that_sinks_over_a_scan_longer_than_its_white_is_named_as_far_as_it_shows(
-    drift, lines, named, stated, tmp_path
+    drift, lines, named, tmp_path
 ):
-    """Of 2 % over 480 lines the white of 64 shows 0.2 %; over 1,500 lines less than its noise: the page says how much that may be."""
+    """Of 2 % over 480 lines the white of 64 shows 0.2 %; over 1,500 lines less than its noise."""
     write_campaign(tmp_path / "campaign", "cube", Habits(drift=drift), (lines, 80))
     made = outcome_of(tmp_path / "campaign", build)
     assert ("the lamp is known between white and object" in made.words) == named
-    assert ("no change of the lamp was found within the white" in made.page) == stated
