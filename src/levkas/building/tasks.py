@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
-    from levkas.stages.native_cubes import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
     from levkas.stages.template_cache import TemplateCache
+    from levkas.stages.tiles import CalibratedCapture
 
     Write = Callable[[Callable[[], object]], Written]
 

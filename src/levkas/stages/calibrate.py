@@ -70,8 +70,8 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.layout import Places
-    from levkas.stages.native_cubes import CalibratedCapture
     from levkas.stages.template_cache import TemplateCache
+    from levkas.stages.tiles import CalibratedCapture
 
 MOST_PROBLEMS = 50
 Noted = tuple[Cube, list[str]]

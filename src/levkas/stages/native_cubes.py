@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import prod
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -33,12 +33,7 @@ if TYPE_CHECKING:
     from levkas.database.credits import Credits
     from levkas.database.layout import Places
     from levkas.geometry.transforms import Transform
-    from levkas.stages.scans import Scan
     from levkas.stages.shared_noise import Mosaic
-    from levkas.stages.tiles import TiledCapture
-
-    CalibratedCapture: TypeAlias = "Native | Scan | TiledCapture"
-    """One capture, calibrated and not resampled: held whole, calibrated whenever its lines are needed, or in tiles."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from levkas.geometry.joining import Box
     from levkas.registration import BandImage
     from levkas.registration.predictors import PreparedReference
-    from levkas.stages.native_cubes import CalibratedCapture
+    from levkas.stages.tiles import CalibratedCapture
 
     Grey = tuple[np.ndarray, np.ndarray]
     Region = tuple[float, float, float, float]

@@ -52,8 +52,8 @@ if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
     from levkas.registration import BandImage
     from levkas.registration.predictors import PreparedReference
-    from levkas.stages.native_cubes import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
+    from levkas.stages.tiles import CalibratedCapture
 
 
 def measure(

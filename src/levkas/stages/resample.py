@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from levkas.core.cube import Cube, CubeRows
     from levkas.geometry.joining import Seams
     from levkas.geometry.transforms import Transform
-    from levkas.stages.native_cubes import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
+    from levkas.stages.tiles import CalibratedCapture
 
 LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 
 import numpy as np
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from levkas.core.cube import Band
     from levkas.geometry.transforms import Transform
-    from levkas.stages.scans import Scan
 
 BUFFER_BYTES, ASKEW_BYTES = 300_000_000, 3_600_000_000
 """Of calibrated lines and of grid rows, together, the next ones being read meanwhile; and of a scan that lies askew."""
@@ -38,13 +38,32 @@ class ScanRefused(CalibrationRefused):
     """A scan that lies so that it cannot be streamed."""
 
 
+class CalibratedLines(Protocol):
+    """A scan whose lines are calibrated when they are needed: (lines, samples, bands)."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]: ...
+    @property
+    def bands(self) -> tuple[Band, ...]: ...
+    @property
+    def quantity(self) -> str: ...
+    @property
+    def has_sigma(self) -> bool: ...
+    @property
+    def measured(self) -> dict[str, dict[str, Any]]: ...
+
+    def blocks(self, start: int, stop: int) -> Iterator[Cube]:
+        """Yield lines `start` to `stop`, some at a time."""
+        ...
+
+
 class BufferedLines:
     """Stretches of calibrated lines: lines that a stretch has in common with the one before are not calibrated again.
 
     `shared`, (samples,), is how much more variance columns keep when they are resampled.
     """
 
-    def __init__(self, scan: Scan, shared: np.ndarray | None = None) -> None:
+    def __init__(self, scan: CalibratedLines, shared: np.ndarray | None = None) -> None:
         self._scan, self._shared = scan, shared
         self._last: tuple[int, Cube] | None = None
 
@@ -90,7 +109,7 @@ def _rows_of(cube: Cube, start: int, stop: int) -> Cube:
 
 
 def resample_scan(
-    scan: Scan, maps: Sequence[Transform], size: tuple[int, int], *, spool: Path
+    scan: CalibratedLines, maps: Sequence[Transform], size: tuple[int, int], *, spool: Path
 ) -> CubeRows:
     """Return the grid's rows, each pixel and band interpolated once, as they are taken.
 
@@ -149,7 +168,7 @@ class _Tile:
 
 
 def _in_rows(
-    scan: Scan,
+    scan: CalibratedLines,
     maps: Sequence[Transform],
     size: tuple[int, int],
     strip: int,
@@ -175,7 +194,7 @@ def _in_rows(
 
 
 def _tile(
-    scan: Scan,
+    scan: CalibratedLines,
     maps: Sequence[Transform],
     size: tuple[int, int],
     rows: tuple[int, int],
@@ -200,7 +219,7 @@ def _tile(
     return _Tile(top, stop, low, high, tuple(parts))
 
 
-def _resampled(scan: Scan, lines: Cube, tile: _Tile, width: int) -> Cube:
+def _resampled(scan: CalibratedLines, lines: Cube, tile: _Tile, width: int) -> Cube:
     """Resample; in place of sigma `lines` have its square."""
     shape = (tile.stop - tile.top, width, scan.shape[2])
     variance = lines.sigma
@@ -223,7 +242,9 @@ def _resampled(scan: Scan, lines: Cube, tile: _Tile, width: int) -> Cube:
     return Cube(round_values(values, sigma, out=values), flags, sigma, scan.bands, scan.quantity)
 
 
-def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int], most: int) -> int:
+def _rows_at_once(
+    scan: CalibratedLines, maps: Sequence[Transform], size: tuple[int, int], most: int
+) -> int:
     """Return how many grid rows make a strip; 0 where even a few need lines of more than `most` bytes."""
     width, height = size
     _, samples, bands = scan.shape
@@ -240,7 +261,9 @@ def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int], 
         rows = ceil(rows / 2)
 
 
-def _turned(columns: Iterator[Cube], scan: Scan, height: int, spool: Path) -> Iterator[Cube]:
+def _turned(
+    columns: Iterator[Cube], scan: CalibratedLines, height: int, spool: Path
+) -> Iterator[Cube]:
     """Put columns on the disk in pieces, and yield rows."""
     bands, step = scan.shape[2], tile_rows(TURNED_ROWS, height)
     pieces: list[list[tuple[int, tuple[int, int, int], bool]]] = []
@@ -292,7 +315,7 @@ def _lay(maps: Sequence[Transform], shape: tuple[int, int], top: int) -> PixelMa
     return lay([shifted[id(one)] for one in maps], shape)
 
 
-def _nothing(scan: Scan, rows: int, width: int) -> Cube:
+def _nothing(scan: CalibratedLines, rows: int, width: int) -> Cube:
     shape = (rows, width, scan.shape[2])
     empty = np.full(shape, np.nan, np.float32)
     sigma = empty.copy() if scan.has_sigma else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil, sqrt
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -33,7 +33,11 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.geometry.transforms import Transform
     from levkas.stages.capture_statistics import DefaultLayer
+    from levkas.stages.scans import Scan
     from levkas.stages.shared_noise import Mosaic
+
+    CalibratedCapture: TypeAlias = "Native | Scan | TiledCapture"
+    """One capture, calibrated and not resampled: held whole, calibrated whenever its lines are needed, or in tiles."""
 
 BLOCK_SAMPLES = 6_000_000
 """Values of the grid that are joined at a time; with two tiles about each, and flags and sigma, 0.2 GB."""
