@@ -10,6 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import uncertainty
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_of_frames_with_all_errors():
     draws = [uncertainty.draw_arrays(seed, shots=2, of_all=10) for seed in range(10)]
     for name, (share, spread) in uncertainty.coverage(draws).items():

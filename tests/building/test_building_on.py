@@ -188,6 +188,7 @@ def test_a_threshold_of_another_method_is_said_once_by_build_and_status(tmp_path
     assert report.ok and all(report.warnings.count(text) == 1 for text in found)
 
 
+@pytest.mark.slow
 def test_a_damaged_layer_is_built_again_and_not_described(campaign):
     path = campaign / "database/objects/one/one_colour.tif"
     before, data, stat = hash_tree(campaign / "database"), bytearray(path.read_bytes()), path.stat()
@@ -258,6 +259,7 @@ def test_the_database_has_the_files_of_the_contract(built):
     assert header == ",".join(COLUMNS)
 
 
+@pytest.mark.slow
 def test_what_is_stale_or_of_an_earlier_build_is_not_published_in_silence(campaign):
     assert check(campaign).ok
     path = campaign / "colour/one.tif"

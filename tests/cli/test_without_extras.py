@@ -87,6 +87,7 @@ def run(folder):
     return done
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("missing", "line", "needs"),
     CASES,

@@ -83,6 +83,7 @@ def test_sigma_is_the_method_s_own_or_the_held_out_error_of_the_band(own_paintin
     assert np.nanstd(own[..., 5]) > 0
 
 
+@pytest.mark.slow
 def test_the_mean_of_an_estimated_region_is_no_better_known_than_its_paint(own_paintings, models):
     for name in ("rgb_wiener", "rgb_gaussian-process"):
         list(apply_model(own_paintings, models / f"{name}.npz", "guess", objects=["icon3"]))

@@ -24,6 +24,7 @@ def command(*arguments):
     return CliRunner().invoke(app, ["estimate", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_each_painting_is_scored_while_it_is_held_out_above_the_reference_s_sigma(paintings):
     (source,) = report_of(paintings).sources
     assert [f.name for f in source.folds] == source.scores[0].objects == ["icon1", "icon2", "icon3"]

@@ -127,6 +127,7 @@ def test_gaussian_process_equals_scikit_learn(rng):
 # --- properties ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_neither_blocks_nor_threads_show_and_no_response_gives_no_spectrum(name, rng, monkeypatch):
     training = smooth(rng, noise=0.01)

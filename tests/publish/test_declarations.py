@@ -72,6 +72,7 @@ def test_raw_frames_elsewhere_and_the_declarations_give_the_same_bytes(
     assert manifest == (published / "declarations/database-sha256.txt").read_bytes()
 
 
+@pytest.mark.slow
 def test_comments_and_the_place_of_the_database_stay_at_home(campaign, published):
     text = (published / "declarations/campaign.toml").read_text()
     declared = tomllib.loads((campaign / "campaign.toml").read_text())

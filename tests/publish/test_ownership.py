@@ -167,6 +167,7 @@ def test_the_publication_of_another_database_with_an_object_of_that_name_is_not_
     assert hash_tree(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_a_corrected_title_replaces_the_earlier_publication_and_what_is_gone_goes(database):
     for title in (None, "Icons of Lefkada"):
         list(run.publish(recorded(database, "ours of ", title), iiif=False))

@@ -132,6 +132,7 @@ def test_key_points_find_mirrored_turned_and_inverted_pictures():
     assert np.linalg.norm(found.transform(points) - points[:, ::-1], axis=1).max() < 1.0
 
 
+@pytest.mark.slow
 def test_a_patchwork_whose_contrast_turns_here_and_there_is_found():
     """Patches of two pictures have nothing to do with one another; their edges lie alike."""
     rng = RNG(8)

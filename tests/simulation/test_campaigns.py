@@ -41,6 +41,7 @@ def tiny(tmp_path_factory):
     return folder, simulate(folder, setups=True)
 
 
+@pytest.mark.slow
 def test_a_campaign_has_raw_files_truth_and_a_campaign_toml(tiny):
     folder, result = tiny
     facts = tomllib.loads(result.campaign.read_text())

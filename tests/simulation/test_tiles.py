@@ -25,6 +25,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_every_tile_has_its_frames(folder):
     captures, refusals = find_captures(load_campaign(folder))
     assert not refusals

@@ -72,6 +72,7 @@ def test_a_build_that_fails_leaves_what_was_built_before(hook, tmp_path, monkeyp
     assert (built / "viewer.js").read_text() == "before"
 
 
+@pytest.mark.slow
 def test_two_builds_give_the_same_bytes(hook, tmp_path, monkeypatch):
     if not (ROOT / "frontend" / "node_modules").is_dir() or hook.find_node() is None:
         pytest.skip("the front-end's packages are not installed: run `make frontend`")

@@ -79,6 +79,7 @@ def rows_of(page, name="Save as CSV", part="#kept"):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", FLIGHTS)
 def test_the_contact_sheet_leads_to_every_object_and_back(browser, address, how):
     page = browser.open(address(how, "index.html"))
@@ -235,6 +236,7 @@ TURNS = """async () => {
 }"""
 
 
+@pytest.mark.slow
 def test_flicker_is_held_by_a_key_waits_after_a_link_and_never_turns_where_motion_is_unwanted(
     browser, address
 ):
@@ -468,6 +470,7 @@ def test_places_rectangles_and_lengths_have_the_numbers_of_the_database(browser,
     again.wait_for_function("() => levkasViewer.state.kept.value.length === 1")
 
 
+@pytest.mark.slow
 def test_a_drawing_is_given_up_and_a_link_holds_what_is_chosen(browser, address):
     page = open_object(browser, address("file", fragment="#a=vis/colour&b=rgb/colour"))
     page.keyboard.press("g")

@@ -124,6 +124,7 @@ def test_a_pixel_is_drawn_where_it_is_said_to_be(correctable, inspected, browser
     assert max(shown(150.7, 90), shown(149.3, 90), shown(150, 90.7), shown(150, 89.3)) < 80
 
 
+@pytest.mark.slow
 def test_both_pictures_show_the_same_place_upright_and_turned(bench, correctable):
     page, _ = bench
     page.evaluate(
@@ -213,6 +214,7 @@ def refused(correctable, inspected, browser, tmp_path):
     return opened(browser, server), server
 
 
+@pytest.mark.slow
 def test_before_there_is_a_map_pictures_are_turned_and_paired_by_hand(refused, correctable):
     page, server = refused
     assert (rotation(page), rotation(page, "right")) == (0, 0)
@@ -295,6 +297,7 @@ def test_a_doubtful_layer_is_confirmed_and_the_word_taken_back(
     assert page.locator("#confirm-head").is_hidden() and page.locator("#unconfirm").is_hidden()
 
 
+@pytest.mark.slow
 def test_every_mode_shows_both_pictures_and_moves_none(bench):
     page, _ = bench
     pictures, tops = set(), set()
@@ -317,6 +320,7 @@ def test_every_mode_shows_both_pictures_and_moves_none(bench):
     page.wait_for_function("!levkasWorkbench.stage.flicker.running")
 
 
+@pytest.mark.slow
 def test_a_pair_is_dragged_in_an_overlay(bench):
     page, server = bench
     choose_worst(page)
@@ -338,6 +342,7 @@ def test_a_pair_is_dragged_in_an_overlay(bench):
     assert np.abs(np.subtract(moved[6:], pair[2:])).max() > 5
 
 
+@pytest.mark.slow
 def test_any_band_and_three_as_colours_are_shown(bench):
     page, _ = bench
     assert page.locator(".pane").nth(1).locator(".bands").is_hidden()  # a radiograph has one
@@ -353,6 +358,7 @@ def test_any_band_and_three_as_colours_are_shown(bench):
     page.wait_for_function(shown.format("2"))
 
 
+@pytest.mark.slow
 def test_points_are_saved_and_come_back(bench, tmp_path):
     page, server = bench
     page.evaluate("levkasWorkbench.stage.left.look(300, 250, 3)")
@@ -375,6 +381,7 @@ def test_points_are_saved_and_come_back(bench, tmp_path):
     assert server.edits.added == (pytest.approx(added, abs=0.011),)
 
 
+@pytest.mark.slow
 def test_an_outline_is_drawn_corrected_undone_and_removed(bench, browser):
     page, server = bench
 

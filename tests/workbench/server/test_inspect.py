@@ -82,6 +82,7 @@ def _other_address():
             return "127.0.0.2"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoilt", ["port", "edits", "database"])
 def test_what_cannot_be_served_is_refused_before_it_listens(campaign, tmp_path, spoilt):
     folder = shutil.copytree(campaign, tmp_path / "campaign")
@@ -108,6 +109,7 @@ pathlib.Path(sys.argv[1] + ".part").rename(sys.argv[1])
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="$BROWSER and signals of Unix")
 @pytest.mark.parametrize(
     "end",
