@@ -256,7 +256,13 @@ def profile(data):
         (profile(zlib.compress(SRGB)), True),
         (profile(zlib.compress(linear_profile())), False),
     ],
-    ids=str,
+    ids=[
+        "none",
+        "sRGB",
+        "gAMA",
+        "profile of sRGB",
+        "linear profile",
+    ],  # profiles hold the time of day
 )
 def test_a_png_states_its_curve_in_one_of_three_chunks(tmp_path, before, encoded):
     path = write_png(tmp_path / "a.png", [b"\1"], width=1, before=before)
