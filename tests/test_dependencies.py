@@ -20,8 +20,6 @@ NOT_INSTALLED = {
 """Import name → distribution of the extras that the tests' environment does not have."""
 USED = ("export", "peers", "remote")
 """Extras that the package, or the comparison with its peers, imports."""
-ELSEWHERE = {"ngff_zarr"}
-"""One test reads a scene with another library where it is there."""
 UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
 
 
@@ -67,28 +65,6 @@ def test_every_package_that_is_imported_is_declared():
     known = declared([*PROJECT["dependencies"], *(one for e in USED for one in extras[e])])
     missing = {name: path for name, path in imported().items() if not distributions(name) & known}
     assert missing == {}
-
-
-def test_benchmarks_examples_and_tests_import_only_what_is_declared():
-    """Each may use any extra; a script that needs more does not start where `make` made the environment."""
-    known = declared(
-        [
-            *PROJECT["dependencies"],
-            *(t for e in PROJECT["optional-dependencies"].values() for t in e),
-        ]
-    )
-    folders = ("benchmarks", "examples", "tests", "docs")
-    own = {
-        name for f in folders for p in (ROOT / f).rglob("*.py") for name in (p.stem, p.parent.name)
-    }
-    for folder in folders:
-        paths = list((ROOT / folder).rglob("*.py"))
-        missing = {
-            name: path
-            for name, path in imports_of(paths).items()
-            if name not in own | {"levkas_peers"} | ELSEWHERE and not distributions(name) & known
-        }
-        assert missing == {}, folder
 
 
 def test_every_package_that_is_declared_is_imported():

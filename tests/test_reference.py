@@ -53,7 +53,3 @@ def test_what_a_docstring_lacks_is_found():
         """Blur an image."""
 
     assert lacks("warp", blur) == ["what it returns", "errors", "an example with its result", "DOI"]
-
-
-def test_doctests_of_the_package_are_collected(pytestconfig):
-    assert pytestconfig.getoption("doctestmodules") and "src" in pytestconfig.getini("testpaths")

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from levkas.campaign.campaign import load_campaign
-from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.discovery.tiles import read_positions
 from levkas.simulation.campaigns import simulate_campaign
 from levkas.simulation.presets import PRESETS, SimulationRefused, choose_cameras, choose_tiles
@@ -23,16 +21,6 @@ def folder(tmp_path_factory):
     tiles = ["d80=2x3", "lctf-vis=1x2", "v10=1x2"]
     list(simulate_campaign(folder, seed=11, preset=TINY, cameras=["d80", "v10"], tiles=tiles))
     return folder
-
-
-@pytest.mark.slow
-def test_every_tile_has_its_frames(folder):
-    captures, refusals = find_captures(load_campaign(folder))
-    assert not refusals
-    tiles = {capture.camera: [part.tile for part in capture.tiles] for capture in captures}
-    assert tiles["lctf-vis"] == ["r1c1", "r1c2"]
-    assert tiles["v10"] == ["r1c1", "r1c2"]
-    assert tiles["d80"] == ["r1c1", "r1c2", "r1c3", "r2c1", "r2c2", "r2c3"]
 
 
 def test_neighbours_see_the_same_points_where_the_stage_put_them(folder):
