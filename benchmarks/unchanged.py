@@ -221,7 +221,8 @@ def sample_maps(database: Path) -> dict[str, np.ndarray]:
             for number in np.unique(np.linspace(0, count - 1, min(count, BANDS)).astype(int)):
                 band = layer.band.values[number]
                 frame = f"{camera}@{setup}:{band}" if setup else f"{camera}:{band}"
-                result[f"{name}|{frame}"] = painting.transform("grid", frame)(points)
+                there = {"source": "grid", "target": frame}
+                result[f"{name}|{frame}"] = package.map_points(database, name, points, **there)
     return result
 
 
