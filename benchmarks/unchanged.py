@@ -96,7 +96,6 @@ CAMPAIGNS: dict[str, tuple[str, str, dict[str, Any]]] = {
 }  # fmt: skip
 """Name: raw frames, cameras that are kept (all without a name), keys of campaign.toml that are set."""
 QUICK = {"envi-linescan", "turned", "streamed"}
-"""What `--only quick` takes."""
 
 
 def levkas(*arguments: str | Path, before: str = "") -> tuple[int, dict[str, Any]]:

@@ -107,16 +107,6 @@ def encode_srgb(linear: np.ndarray) -> np.ndarray:
     return np.round(255 * curve).astype(np.uint8)
 
 
-def decode_srgb(values: np.ndarray) -> np.ndarray:
-    """Return linear sRGB, 0 … 1, of encoded values 0 … 1; NaN stays.
-
-    >>> decode_srgb(np.array([0.0, 118 / 255, 1.0])).round(3).tolist()
-    [0.0, 0.181, 1.0]
-    """
-    x = np.clip(values, 0, 1)
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
-
-
 # --- renderings ---------------------------------------------------------------------------------
 
 
