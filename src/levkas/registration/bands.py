@@ -17,6 +17,7 @@ from scipy.ndimage import map_coordinates
 from levkas.core.compiled import njit
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
+from levkas.registration.local_shifts_kernel import LATTICE_PX
 
 STRETCH_PERCENT = (0.5, 99.5)
 #: Share of the bands that must be valid where their mean is.
@@ -24,8 +25,6 @@ LEAST_BANDS_SHARE = 0.5
 #: Share of the pixels of the fullest band that a band must have; half of it, or 1.5 times, separates the same bands
 #: where some are bad as a whole and others lack glints.
 LEAST_PRESENT = 0.5
-#: Px between the nodes of a lattice on which maps are evaluated.
-LATTICE_PX = 8
 #: Rows that are interpolated at once; share of an interpolated pixel that has to be valid.
 PULLED_ROWS, WHOLE_SHARE = 256, 0.999
 #: Sampled values of which the range of an image is estimated.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from levkas.core.compiled import njit
-from levkas.registration.local_shifts import spline_slopes, spline_weights
+from levkas.registration.local_shifts_kernel import spline_slopes, spline_weights
 
 #: A step shorter than this, px, is the last.
 CONVERGED_PX = 0.02

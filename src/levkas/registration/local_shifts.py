@@ -13,13 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
-from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
 from levkas.geometry.transforms import Affine, Composed
 from levkas.registration import local_shifts_kernel as kernels
-from levkas.registration.bands import LATTICE_PX, evaluate_lattice
+from levkas.registration.bands import evaluate_lattice
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
@@ -54,95 +54,70 @@ class WindowShifts:
 class Predictor:
     """Reference images with the sums of their products, so that each band of each camera costs one pass.
 
-    Parameters
-    ----------
-    images : ndarray, (k, h, w)
-        In the common frame; NaN where invalid.
-    step : float
-        Reference px per px of `images`.
+    `images`, (k, h, w), lie in the common frame, NaN where invalid, with `step` reference px a px; `cell` is the side of a cell, px.
     """
 
     def __init__(self, images: np.ndarray, *, step: float = 1.0, cell: int = CELL_PX) -> None:
-        self.k, self.step = len(images), step
-        height, width = images.shape[1:]
-        self.cell = min(cell, height, width)
-        self._images = np.ascontiguousarray(images, np.float32)
-        self._known = np.zeros((height, width), bool)
-        in_threads(kernels.find_known, height, self._images, self._known)
-        self._rows, self._cols = height // self.cell, width // self.cell
-        lattice, d = (self._rows, self._cols), 3 + 3 * self.k
-        self._cells, self.counts = np.zeros((*lattice, d, d)), np.zeros(lattice, np.int64)
+        self.images = np.ascontiguousarray(images, np.float32)
+        self.step, (k, height, width) = step, self.images.shape
+        self.shape, self.cell = (height, width), min(cell, height, width)
+        finite = np.isfinite(self.images).all(0)
+        self._shown = np.zeros_like(finite)
+        sides = finite[1:-1, 2:] & finite[1:-1, :-2] & finite[2:, 1:-1] & finite[:-2, 1:-1]
+        self._shown[1:-1, 1:-1] = finite[1:-1, 1:-1] & sides
+        self.counts = self._count(self._shown)
+        lattice, d = self.counts.shape, 3 + 3 * k
+        whole = [np.convolve(np.ones(n), (0.25, 0.5, 0.25))[1:-1] for n in lattice]
+        self._least = LEAST_COVER * self.cell**2 * np.outer(*whole)
+        self._sums, self._windows = np.zeros((2, *lattice, d, d))
+        self._able = np.zeros(lattice, bool)
         in_threads(
-            kernels.sum_squares,
-            self._rows,
-            *(self._images, self._known, self.cell, self._cells, self.counts),
-        )
-        self._able, self._gram = np.zeros(lattice), np.empty((*lattice, d - 3, d - 3))
-        self._mixed, self._ramp = np.empty((*lattice, 3, d - 3)), np.empty((*lattice, 3, 3))
+            kernels.sum_cells, lattice[0],
+            self.images, self._shown, self.cell, self.counts, self._sums,
+        )  # fmt: skip
         in_threads(
-            kernels.sum_windows,
-            self._rows,
-            *(self._cells, self.counts, self.cell, LEAST_COVER, self._windows),
-        )
+            kernels.sum_windows, lattice[0],
+            self._sums, self.counts, self._least, self._able, self._windows,
+        )  # fmt: skip
 
-    @property
-    def _windows(self) -> tuple[np.ndarray, ...]:
-        return self._able, self._gram, self._mixed, self._ramp
-
-    @property
-    def images(self) -> np.ndarray:
-        """The predictors, (k, h, w)."""
-        return self._images
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(height, width) of the common frame."""
-        return self._known.shape[0], self._known.shape[1]
+    def _count(self, shown: np.ndarray) -> np.ndarray:
+        """Return how many pixels of each cell are shown; what is left of the frame behind the last whole cells is in none."""
+        rows, columns = (n // self.cell for n in shown.shape)
+        inside = shown[: rows * self.cell, : columns * self.cell]
+        return np.asarray(inside.reshape(rows, self.cell, columns, self.cell).sum((1, 3)))
 
     def compare(self, target: np.ndarray, *, ridge: float = RIDGE) -> WindowShifts:
-        """Return the shifts of `target`, warped into the common frame, against the predictors."""
-        rows, cols, cell, k = self._rows, self._cols, self.cell, self.k
+        """Return the shifts of `target`, (h, w), warped into the common frame, against the predictors."""
         target = np.ascontiguousarray(target, np.float32)
-        number = np.zeros((rows, cols), np.int64)
-        in_threads(kernels.count_cover, rows, target, self._known, cell, number)
-        slots, lines, partial = self._products(target, number)
-        shift, r2 = np.zeros((rows, cols, 2)), np.zeros((rows, cols))
-        info, sensitivity = np.zeros((rows, cols, 2, 2)), np.zeros((rows, cols, k, k))
+        shown = self._shown & np.isfinite(target)
+        counts = self._count(shown)
+        slots = np.where(counts == 0, kernels.EMPTY, kernels.WHOLE)
+        cut = (counts > 0) & (counts < self.counts)
+        slots[cut] = np.arange(cut.sum())
+        (rows, columns), k, d = counts.shape, len(self.images), self._sums.shape[2]
+        lines, partial = np.zeros((rows, columns, d + 1)), np.empty((int(cut.sum()), d, d))
         in_threads(
-            kernels.solve_windows,
-            rows,
-            self._cells,
-            (lines, number, slots, partial),
-            (self.counts, *self._windows),
-            (cell, ridge, LEAST_COVER),
-            (shift, info, r2, sensitivity),
-        )
-        x, y = np.meshgrid(np.arange(cols), np.arange(rows))
-        centres = (np.stack([x, y], -1).reshape(-1, 2) + 0.5) * (cell * self.step) - 0.5
-        information = info.reshape(-1, 2, 2) / self.step**2
+            kernels.sum_band, rows,
+            target, self.images, shown, self.cell, slots, (lines, partial),
+        )  # fmt: skip
+        shift, r2 = np.zeros((rows, columns, 2)), np.zeros((rows, columns))
+        information = np.zeros((rows, columns, 2, 2))
+        sensitivity = np.zeros((rows, columns, k, k))
+        in_threads(
+            kernels.fit_windows, rows,
+            (self._sums, self.counts, self._able, self._windows), (lines, counts, slots, partial),
+            self._least, ridge, (shift, information, r2, sensitivity),
+            worth=self._sums.size,
+        )  # fmt: skip
+        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+        centres = (np.stack([x, y], -1).reshape(-1, 2) + 0.5) * (self.cell * self.step) - 0.5
+        information = information.reshape(-1, 2, 2) / self.step**2
         weights = np.trace(information, axis1=1, axis2=2)
-        if weights.any():
-            weights = weights / weights.sum()
+        weights = weights / weights.sum() if weights.any() else weights
         mean = np.einsum("n,nij->ij", weights, sensitivity.reshape(-1, k, k))
         return WindowShifts(
             centres, shift.reshape(-1, 2) * self.step, information, r2.reshape(-1), mean
         )
-
-    def _products(
-        self, target: np.ndarray, number: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the sums of the target's products with the predictors, and all sums anew of cells that it covers in part."""
-        cut = (number > 0) & (number < self.counts)
-        slots = np.full(number.shape, -1)
-        slots[cut] = np.arange(int(cut.sum()))
-        d = self._cells.shape[2]
-        lines, partial = np.zeros((*number.shape, d + 1)), np.empty((int(cut.sum()), d, d))
-        in_threads(
-            kernels.sum_products,
-            self._rows,
-            *(target, self._images, self._known, self.cell, (number, slots), (lines, partial)),
-        )
-        return slots, lines, partial
 
 
 # --- resampling before windows are compared
@@ -151,120 +126,22 @@ class Predictor:
 def smoothing_warp(
     image: np.ndarray, transform: Transform, shape: tuple[int, int], *, step: float = 1.0
 ) -> np.ndarray:
-    """Return `image` resampled in the frame of `transform`'s source through a cubic B-spline.
+    """Return `image`, (h, w), NaN where invalid, resampled through a cubic B-spline, float32.
 
-    Parameters
-    ----------
-    image : ndarray, (h, w), float32
-        NaN where invalid.
-    transform : Transform
-        Output px (times `step`, about pixel corners) → px of `image`.
-    shape : (height, width) of the output
-    step : float
-        Source px per output px.
-
-    Returns
-    -------
-    warped : ndarray, `shape`, float32
-        NaN where the kernel touches what is invalid or outside.
+    `transform` takes px of the output, of `shape` and `step` source px a px, to px of the image; NaN where the kernel touches
+    what is invalid or outside.
     """
     lattice = evaluate_lattice(transform, shape, step)
     out = np.full(shape, np.nan, np.float32)
-    in_threads(_warp, shape[0], np.ascontiguousarray(image, np.float32), lattice, out)
+    in_threads(kernels.warp_rows, shape[0], np.ascontiguousarray(image, np.float32), lattice, out)
     return out
-
-
-@njit(cache=True)
-def _warp(start, stop, image, lattice, out):  # type: ignore[no-untyped-def]
-    h, w = image.shape
-    flat, width = image.reshape(-1), out.shape[1]
-    last = lattice.shape[0] - 1
-    nodes = np.empty((lattice.shape[1], 2))
-    first = np.empty(width, np.int64)
-    u, v = np.empty((4, width), np.float32), np.empty((4, width), np.float32)
-    for i in range(start, stop):
-        fy = i / LATTICE_PX
-        ly = min(int(fy), last)
-        my = min(ly + 1, last)
-        ty = fy - ly
-        for n in range(len(nodes)):
-            nodes[n, 0] = (1 - ty) * lattice[ly, n, 0] + ty * lattice[my, n, 0]
-            nodes[n, 1] = (1 - ty) * lattice[ly, n, 1] + ty * lattice[my, n, 1]
-        _place_row(nodes, h, w, first, u, v)
-        for j in range(width):
-            if first[j] < 0:
-                continue
-            total = np.float32(0.0)
-            for r in range(4):
-                p = np.uintp(first[j] + r * w)  # unsigned: no index counts from the end
-                line = u[0, j] * flat[p] + u[1, j] * flat[p + np.uintp(1)]
-                more = u[2, j] * flat[p + np.uintp(2)] + u[3, j] * flat[p + np.uintp(3)]
-                total += v[r, j] * (line + more)
-            out[i, j] = total
-
-
-@njit
-def _place_row(nodes, h, w, first, u, v):  # type: ignore[no-untyped-def]
-    """Fill, for the pixels of a row, the first of four by four samples, -1 outside, and the weights of columns and rows.
-
-    Places lie on a straight line from node to node. The loops over pixels have no branches, so that several go at once.
-    """
-    width = len(first)
-    x_part, y_part = np.empty(width, np.float32), np.empty(width, np.float32)
-    for left in range(0, width, LATTICE_PX):
-        n = left // LATTICE_PX
-        m = min(n + 1, len(nodes) - 1)
-        x, y = nodes[n]
-        slope_x, slope_y = (nodes[m, 0] - x) / LATTICE_PX, (nodes[m, 1] - y) / LATTICE_PX
-        for j in range(min(LATTICE_PX, width - left)):
-            here, there = x + j * slope_x, y + j * slope_y
-            inside = here >= 1.0 and there >= 1.0 and here < w - 2.0 and there < h - 2.0
-            x0 = np.floor(here) if inside else 1.0
-            y0 = np.floor(there) if inside else 1.0
-            first[left + j] = np.int64((y0 - 1) * w + x0 - 1) if inside else -1
-            x_part[left + j], y_part[left + j] = here - x0, there - y0
-    for j in range(width):
-        u[0, j], u[1, j], u[2, j], u[3, j] = spline_weights(x_part[j])
-        v[0, j], v[1, j], v[2, j], v[3, j] = spline_weights(y_part[j])
-
-
-@njit(inline="always")
-def spline_weights(t):  # type: ignore[no-untyped-def]
-    """Return the weights of the four samples about a place `t` behind the second, 0..1."""
-    sixth, half, two = np.float32(1 / 6), np.float32(0.5), np.float32(2 / 3)
-    s = np.float32(1.0) - t
-    tt, ss = t * t, s * s
-    return ss * s * sixth, two - tt + half * tt * t, two - ss + half * ss * s, tt * t * sixth
-
-
-@njit(inline="always")
-def spline_slopes(t):  # type: ignore[no-untyped-def]
-    """Return the derivatives of `spline_weights` by the place."""
-    s = np.float32(1.0) - t
-    half, more = np.float32(0.5), np.float32(1.5)
-    return -half * s * s, (more * t - 2) * t, (2 - more * s) * s, half * t * t
 
 
 def reduce(image: np.ndarray, n: int) -> np.ndarray:
     """Return the means of n x n blocks, (h // n, w // n) float32; NaN where a pixel is invalid."""
-    out = np.empty((image.shape[0] // n, image.shape[1] // n), np.float32)
-    in_threads(_reduce, out.shape[0], np.ascontiguousarray(image, np.float32), n, out)
-    return out
-
-
-@njit(cache=True)
-def _reduce(start, stop, image, n, out):  # type: ignore[no-untyped-def]
-    sums = np.empty(out.shape[1] * n)
-    for i in range(start, stop):
-        sums[:] = 0.0
-        for a in range(n):
-            for j in range(len(sums)):
-                sums[j] += image[i * n + a, j]
-        for j in range(out.shape[1]):
-            total = 0.0
-            for b in range(n):
-                total += sums[j * n + b]
-            out[i, j] = total / (n * n)
+    height, width = (side // n for side in image.shape)
+    whole = np.asarray(image, np.float32)[: height * n, : width * n]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
 
 
 def detail_on_grid(
@@ -288,54 +165,22 @@ def highpass(image: np.ndarray) -> np.ndarray:
     Glare, shading and the difference of two cameras' flat fields are smooth; paint is not. Without
     its slow part the residual of a prediction is nearly white, which least squares takes for granted.
     """
-    image = np.ascontiguousarray(image, np.float32)
-    across, share, out = (np.empty(image.shape, np.float32) for _ in range(3))
-    in_threads(_average_rows, image.shape[0], image, across, share)
-    in_threads(_average_columns, image.shape[0], image, across, share, out)
-    return out
+    return _less_mean(image, _TAPS)
 
 
 def highpass_rows(image: np.ndarray) -> np.ndarray:
     """Return `highpass` along rows alone: no row has anything of its neighbours."""
-    image = np.ascontiguousarray(image, np.float32)
-    across, share = (np.empty(image.shape, np.float32) for _ in range(2))
-    in_threads(_average_rows, image.shape[0], image, across, share)
-    across /= np.maximum(share, np.float32(1e-6), out=share)
-    return np.asarray(np.subtract(image, across, out=across))
+    return _less_mean(image, np.ones(1, np.float32))
 
 
-_REACH = 8
-_TAPS = np.exp(-0.5 * (np.arange(-_REACH, _REACH + 1) / HIGHPASS_PX) ** 2)
+_TAPS = np.exp(-0.5 * (np.arange(-8, 9) / HIGHPASS_PX) ** 2)
 _TAPS = (_TAPS / _TAPS.sum()).astype(np.float32)
 
 
-@njit(cache=True)
-def _average_rows(start, stop, image, across, share):  # type: ignore[no-untyped-def]
-    w = image.shape[1]
-    value, mask = np.zeros((2, w + 2 * _REACH), np.float32)
-    for i in range(start, stop):
-        for j in range(w):
-            known = np.isfinite(image[i, j])
-            value[j + _REACH] = image[i, j] if known else np.float32(0.0)
-            mask[j + _REACH] = np.float32(known)
-        for j in range(w):
-            total = weight = np.float32(0.0)
-            for k in range(2 * _REACH + 1):
-                total += _TAPS[k] * value[j + k]
-                weight += _TAPS[k] * mask[j + k]
-            across[i, j], share[i, j] = total, weight
-
-
-@njit(cache=True)
-def _average_columns(start, stop, image, across, share, out):  # type: ignore[no-untyped-def]
-    h, w = image.shape
-    for i in range(start, stop):
-        total = np.zeros(w, np.float32)
-        weight = np.zeros(w, np.float32)
-        for k in range(max(0, i - _REACH), min(h, i + _REACH + 1)):
-            tap = _TAPS[k - i + _REACH]
-            for j in range(w):
-                total[j] += tap * across[k, j]
-                weight[j] += tap * share[k, j]
-        for j in range(w):
-            out[i, j] = image[i, j] - total[j] / max(weight[j], np.float32(1e-6))
+def _less_mean(image: np.ndarray, down: np.ndarray) -> np.ndarray:
+    known = np.isfinite(image)
+    total, share = (
+        cv2.sepFilter2D(part.astype(np.float32), -1, _TAPS, down, borderType=cv2.BORDER_CONSTANT)
+        for part in (np.where(known, image, 0), known)
+    )
+    return np.asarray(image - total / np.maximum(share, np.float32(1e-6)), np.float32)

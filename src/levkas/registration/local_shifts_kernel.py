@@ -1,8 +1,8 @@
-"""Compiled loops of the local shifts: sums over cells, windows of cells, gains and shift of each.
+"""Compiled loops of the local shifts: a picture warped, sums over cells and windows of cells, gains and shift of each.
 
-What depends on the predictors alone is summed, centred and freed of bias and ramp once for every
-window; a band then costs one row of sums a cell. Only windows whose cells the band covers in part
-are summed anew.
+A pixel has a row of d = 3 + 3 k values: 1, u, v (its place in cells), k predictors, and their derivatives along x and along y.
+What depends on these alone is summed once for every window, and freed of bias and ramp; a band then costs one row of sums a
+cell. Only windows whose cells the band covers in part are summed anew.
 """
 
 from __future__ import annotations
@@ -11,245 +11,199 @@ import numpy as np
 
 from levkas.core.compiled import njit
 
-
-@njit(inline="always")
-def _see(images, i, j, k, cell, v):  # type: ignore[no-untyped-def]
-    """Fill v with 1, u, v, the predictors and their derivatives along x and y at one pixel."""
-    v[0] = 1.0
-    v[1] = (j + 0.5) / cell
-    v[2] = (i + 0.5) / cell
-    half = np.float32(0.5)
-    for a in range(k):
-        v[3 + a] = images[a, i, j]
-        v[3 + k + a] = (images[a, i, j + 1] - images[a, i, j - 1]) * half
-        v[3 + 2 * k + a] = (images[a, i + 1, j] - images[a, i - 1, j]) * half
+#: Px between the nodes of a lattice on which maps are evaluated; between them they are interpolated linearly.
+LATTICE_PX = 8
+#: In place of the slot of a cell: a band shows nothing of it, or all that the predictors do.
+EMPTY, WHOLE = -2, -1
 
 
 @njit(inline="always")
-def _add_square(g, v, d):  # type: ignore[no-untyped-def]
-    for a in range(d):
-        left = v[a]
-        for b in range(a + 1):
-            g[a, b] += left * v[b]
+def spline_weights(t):  # type: ignore[no-untyped-def]
+    """Return the weights of the four samples about a place `t` behind the second, 0..1."""
+    sixth, half, two = np.float32(1 / 6), np.float32(0.5), np.float32(2 / 3)
+    s = np.float32(1.0) - t
+    tt, ss = t * t, s * s
+    return ss * s * sixth, two - tt + half * tt * t, two - ss + half * ss * s, tt * t * sixth
 
 
 @njit(inline="always")
-def _mirror(g, d):  # type: ignore[no-untyped-def]
-    for a in range(d):
-        for b in range(a):
-            g[b, a] = g[a, b]
+def spline_slopes(t):  # type: ignore[no-untyped-def]
+    """Return the derivatives of `spline_weights` by the place."""
+    s = np.float32(1.0) - t
+    half, more = np.float32(0.5), np.float32(1.5)
+    return -half * s * s, (more * t - 2) * t, (2 - more * s) * s, half * t * t
 
 
 @njit(cache=True)
-def find_known(start, stop, images, known):  # type: ignore[no-untyped-def]
-    """Return where all predictors and their derivatives are finite; the frame's rim never is."""
-    k, h, w = images.shape
-    total = np.empty(w, np.float32)
-    for i in range(max(start, 1), min(stop, h - 1)):
-        total[:] = np.float32(0.0)
-        for a in range(k):  # a NaN or an infinity anywhere makes the sum one
-            for j in range(1, w - 1):
-                total[j] += images[a, i, j] - images[a, i, j]
-                total[j] += images[a, i, j + 1] - images[a, i, j - 1]
-                total[j] += images[a, i + 1, j] - images[a, i - 1, j]
-        for j in range(1, w - 1):
-            known[i, j] = np.isfinite(total[j])
-
-
-@njit(cache=True)
-def sum_squares(start, stop, images, known, cell, grams, counts):  # type: ignore[no-untyped-def]
-    """Sum the products of what `_see` gives over each cell, where all of it is known."""
-    k = images.shape[0]
-    table = np.empty((3 + 3 * k, cell * cell))
-    for r in range(start, stop):
-        for c in range(counts.shape[1]):
-            counts[r, c] = _tabulate(images, known, cell, r, c, table)
-            if counts[r, c] > 0:
-                np.dot(table, table.T, grams[r, c])
+def warp_rows(start, stop, image, lattice, out):  # type: ignore[no-untyped-def]
+    """Sample `image` through a cubic B-spline where `lattice`, (rows, columns, 2), puts the pixels of `out`."""
+    h, w = image.shape
+    last_row, last = lattice.shape[0] - 1, lattice.shape[1] - 1
+    nodes = np.empty((last + 1, 2))
+    for i in range(start, stop):
+        row = i // LATTICE_PX
+        share = i / LATTICE_PX - row
+        for n in range(last + 1):
+            for axis in range(2):
+                low, high = lattice[row, n, axis], lattice[min(row + 1, last_row), n, axis]
+                nodes[n, axis] = (1 - share) * low + share * high
+        for j in range(out.shape[1]):
+            n = j // LATTICE_PX
+            m, along = min(n + 1, last), j / LATTICE_PX - n
+            x = nodes[n, 0] + along * (nodes[m, 0] - nodes[n, 0])
+            y = nodes[n, 1] + along * (nodes[m, 1] - nodes[n, 1])
+            if not (x >= 1.0 and y >= 1.0 and x < w - 2.0 and y < h - 2.0):
+                continue
+            left, top = np.uintp(x), np.uintp(y)  # unsigned: no index counts from the end
+            u0, u1, u2, u3 = spline_weights(np.float32(x - left))
+            total, first = np.float32(0.0), left - np.uintp(1)
+            for r, weight in enumerate(spline_weights(np.float32(y - top))):
+                line = image[top + np.uintp(r) - np.uintp(1)]
+                total += weight * (
+                    (u0 * line[first] + u1 * line[left])
+                    + (u2 * line[left + np.uintp(1)] + u3 * line[left + np.uintp(2)])
+                )
+            out[i, j] = total
 
 
 @njit
-def _tabulate(images, known, cell, r, c, table):  # type: ignore[no-untyped-def]
-    """Fill what `_see` gives at every pixel of a cell, a row each; zeros where it is not known."""
-    k, _, w = images.shape
-    left = c * cell
-    half = np.float32(0.5)
-    count = 0
+def _fill_table(images, shown, r, c, cell, table):  # type: ignore[no-untyped-def]
+    """Fill the values of the pixels of a cell, a column each; zeros where it is not `shown`, as the frame's rim never is."""
+    k, h, w = images.shape
+    half, left = np.float32(0.5), c * cell
+    first, last = max(left - 1, 0), min(left + cell + 1, w)
     for y in range(cell):
         i, place = r * cell + y, y * cell
-        whole = 0
-        for x in range(cell):
-            whole += known[i, left + x]
-        count += whole
-        if whole == 0:
-            table[:, place : place + cell] = 0.0
-            continue
         table[0, place : place + cell] = 1.0
         table[2, place : place + cell] = (i + 0.5) / cell
         for x in range(cell):
             table[1, place + x] = (left + x + 0.5) / cell
         for a in range(k):
-            # First and last column are not known: it matters not what stands beside them.
+            above = images[a, max(i - 1, 0), left : left + cell]
+            here, around = images[a, i, left : left + cell], images[a, i, first:last]
+            below = images[a, min(i + 1, h - 1), left : left + cell]
+            plain = table[3 + a, place : place + cell]
+            along = table[3 + k + a, place + first + 1 - left : place + last - 1 - left]
+            down = table[3 + 2 * k + a, place : place + cell]
             for x in range(cell):
-                j = left + x
-                along = images[a, i, min(j + 1, w - 1)] - images[a, i, max(j - 1, 0)]
-                table[3 + a, place + x] = images[a, i, j]
-                table[3 + k + a, place + x] = along * half
-                table[3 + 2 * k + a, place + x] = (images[a, i + 1, j] - images[a, i - 1, j]) * half
-        if whole < cell:
-            for x in range(cell):
-                if not known[i, left + x]:
-                    table[:, place + x] = 0.0
-    return count
+                plain[x] = here[x]
+                down[x] = (below[x] - above[x]) * half
+            for x in range(len(along)):
+                along[x] = (around[x + 2] - around[x]) * half
+        for x in range(cell):
+            if not shown[i, c * cell + x]:
+                table[:, place + x] = 0.0
 
 
 @njit(cache=True)
-def count_cover(start, stop, target, known, cell, number):  # type: ignore[no-untyped-def]
-    """Count the pixels of each cell that predictors and target both know."""
-    count = np.zeros(target.shape[1], np.int32)
+def sum_cells(start, stop, images, shown, cell, counts, sums):  # type: ignore[no-untyped-def]
+    """Sum the products of the values of each cell with one another, (d, d), over its `counts` pixels that are shown."""
+    table = np.empty((sums.shape[2], cell * cell))
     for r in range(start, stop):
-        count[:] = 0
-        for i in range(r * cell, (r + 1) * cell):
-            row, there = target[i], known[i]
-            for j in range(len(count)):
-                count[j] += there[j] & np.isfinite(row[j])
-        for c in range(number.shape[1]):
-            total = 0
-            for j in range(c * cell, (c + 1) * cell):
-                total += count[j]
-            number[r, c] = total
+        for c in range(counts.shape[1]):
+            if counts[r, c] > 0:
+                _fill_table(images, shown, r, c, cell, table)
+                np.dot(table, table.T, sums[r, c])
 
 
 @njit(cache=True)
-def sum_products(start, stop, target, images, known, cell, cover, out):  # type: ignore[no-untyped-def]
-    """Sum the target's products, its square last, and all products anew in partial cells.
+def sum_band(start, stop, target, images, shown, cell, slots, out):  # type: ignore[no-untyped-def]
+    """Sum the products of a band with the values of each cell, its own square last, and all products anew in the cells of `slots`.
 
-    Columns side by side, the rows of a cell one by one, these in single precision: as if the
-    target had noise of 1e-7.
+    Predictors in single precision, as if the band had noise of 1e-7.
     """
-    number, slots = cover
-    lines = out[0]
-    k, h, w = images.shape
-    # Rows one by one: of a slice of several the compiler does not know that its pixels lie side by side.
-    plain, along, down = np.empty(w, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
+    lines, partial = out
+    d = lines.shape[2] - 1
+    table, single = np.empty((d, cell * cell)), np.empty((d, cell * cell), np.float32)
+    band, sums = np.empty(cell * cell, np.float32), np.empty(d, np.float32)
     for r in range(start, stop):
-        for a in range(k):
-            for sums in (plain, along, down):
-                sums[:] = np.float32(0.0)
-            for i in range(max(r * cell, 1), min((r + 1) * cell, h - 1)):
-                above, image, below = images[a, i - 1], images[a, i], images[a, i + 1]
-                _add_products(target[i], above, image, below, plain, along, down)
-            for c in range(number.shape[1]):
-                if number[r, c] == cell * cell:
-                    line, left = lines[r, c], c * cell
-                    line[3 + a] = _sum(plain, left, cell)
-                    line[3 + k + a] = _sum(along, left, cell) * 0.5
-                    line[3 + 2 * k + a] = _sum(down, left, cell) * 0.5
-        _add_ramps(target, cell, r, number[r], lines[r])
-        for c in range(number.shape[1]):
-            if 0 < number[r, c] < cell * cell:
-                _masked_cell(target, images, known, cell, r, c, slots[r, c], out)
-
-
-@njit
-def _add_products(target, above, image, below, plain, along, down):  # type: ignore[no-untyped-def]
-    for j in range(1, len(target) - 1):
-        t = target[j]
-        plain[j] += t * image[j]
-        along[j] += t * (image[j + 1] - image[j - 1])
-        down[j] += t * (below[j] - above[j])
-
-
-@njit
-def _sum(values, left, count):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for j in range(left, left + count):
-        total += values[j]
-    return total
-
-
-@njit
-def _add_ramps(target, cell, r, number, lines):  # type: ignore[no-untyped-def]
-    """Add the sums of the target, times 1, u and v, and of its square in the whole cells of a row of cells."""
-    w = target.shape[1]
-    plain, down, square = np.zeros(w), np.zeros(w), np.zeros(w)
-    for i in range(r * cell, (r + 1) * cell):
-        v, row = (i + 0.5) / cell, target[i]
-        for j in range(w):
-            t = np.float64(row[j])
-            plain[j] += t
-            down[j] += t * v
-            square[j] += t * t
-    for c in range(len(number)):
-        if number[c] < cell * cell:
-            continue
-        total, left = 0.0, c * cell
-        for j in range(left, left + cell):
-            total += plain[j] * (j + 0.5)
-        line = lines[c]
-        line[0], line[1] = _sum(plain, left, cell), total / cell
-        line[2], line[-1] = _sum(down, left, cell), _sum(square, left, cell)
-
-
-@njit
-def _masked_cell(target, images, known, cell, r, c, slot, out):  # type: ignore[no-untyped-def]
-    line, k = out[0][r, c], images.shape[0]
-    d = 3 + 3 * k
-    v, whole = np.empty(d), slot >= 0
-    g = out[1][max(slot, 0)]
-    if whole:
-        g[:] = 0.0
-    for i in range(r * cell, (r + 1) * cell):
-        for j in range(c * cell, (c + 1) * cell):
-            t = np.float64(target[i, j])
-            if not (known[i, j] and np.isfinite(t)):
+        for c in range(lines.shape[1]):
+            if slots[r, c] == EMPTY:
                 continue
-            _see(images, i, j, k, cell, v)
-            for a in range(d):
-                line[a] += t * v[a]
-            line[d] += t * t
-            if whole:
-                _add_square(g, v, d)
-    if whole:
-        _mirror(g, d)
-
-
-@njit
-def _cholesky(a, n):  # type: ignore[no-untyped-def]
-    """Factor the leading n x n block in place (lower); False where it is not positive definite."""
-    for i in range(n):
-        for j in range(i + 1):
-            total = a[i, j]
-            for m in range(j):
-                total -= a[i, m] * a[j, m]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                a[i, i] = np.sqrt(total)
-            else:
-                a[i, j] = total / a[j, j]
-    return True
-
-
-@njit
-def _substitute(factor, n, right, out):  # type: ignore[no-untyped-def]
-    """Solve with the factor that `_cholesky` left."""
-    for i in range(n):
-        total = right[i]
-        for m in range(i):
-            total -= factor[i, m] * out[m]
-        out[i] = total / factor[i, i]
-    for back in range(n):
-        i = n - 1 - back
-        total = out[i]
-        for m in range(i + 1, n):
-            total -= factor[m, i] * out[m]
-        out[i] = total / factor[i, i]
+            plain = across = down = square = 0.0
+            for y in range(cell):
+                i, row = r * cell + y, 0.0
+                for x in range(cell):
+                    j = c * cell + x
+                    t = np.float64(target[i, j]) if shown[i, j] else 0.0
+                    band[y * cell + x] = t
+                    row, across, square = row + t, across + t * (j + 0.5), square + t * t
+                plain, down = plain + row, down + row * (i + 0.5)
+            _fill_table(images, shown, r, c, cell, single)
+            np.dot(single, band, sums)
+            lines[r, c, :d] = sums
+            lines[r, c, 0], lines[r, c, 1], lines[r, c, 2] = plain, across / cell, down / cell
+            lines[r, c, d] = square
+            if slots[r, c] >= 0:
+                _fill_table(images, shown, r, c, cell, table)
+                np.dot(table, table.T, partial[slots[r, c]])
 
 
 @njit(inline="always")
 def _tent(r, c, a, b):  # type: ignore[no-untyped-def]
+    """Return the weight of cell (a, b) in the window of 3 x 3 cells about (r, c)."""
     return (0.5 if a == r else 0.25) * (0.5 if b == c else 0.25)
+
+
+@njit
+def _count_window(counts, r, c):  # type: ignore[no-untyped-def]
+    """Return the weighted number of pixels of a window."""
+    total = 0.0
+    for a in range(max(r - 1, 0), min(r + 2, counts.shape[0])):
+        for b in range(max(c - 1, 0), min(c + 2, counts.shape[1])):
+            total += _tent(r, c, a, b) * counts[a, b]
+    return total
+
+
+@njit
+def _eliminate(g, r, c, n):  # type: ignore[no-untyped-def]
+    """Take bias and ramp out of a window's products, (d, d), of `n` pixels: Gaussian elimination of the first three, in place.
+
+    Ramps about the window's own centre keep the system well conditioned. False where it is ill all the same.
+    """
+    d = len(g)
+    for axis, centre in ((1, c + 0.5), (2, r + 0.5)):
+        for i in range(d):
+            g[axis, i] -= centre * g[0, i]
+        for i in range(d):
+            g[i, axis] -= centre * g[i, 0]
+    for p in range(3):
+        g[p, p] += 1e-9 * n
+    for p in range(3):
+        if not g[p, p] > 0.0:
+            return False
+        for i in range(p + 1, d):
+            factor = g[i, p] / g[p, p]
+            for j in range(p + 1, d):
+                g[i, j] -= factor * g[p, j]
+    return True
+
+
+@njit
+def _eliminate_band(g, r, c, line):  # type: ignore[no-untyped-def]
+    """Take bias and ramp out of a band's products with the values, (d + 1,), as `_eliminate` left these; its square last."""
+    d = len(g)
+    line[1] -= (c + 0.5) * line[0]
+    line[2] -= (r + 0.5) * line[0]
+    for p in range(3):
+        factor = line[p] / g[p, p]
+        line[d] -= factor * line[p]
+        for j in range(p + 1, d):
+            line[j] -= factor * g[p, j]
+
+
+@njit(cache=True)
+def sum_windows(start, stop, sums, counts, least, able, windows):  # type: ignore[no-untyped-def]
+    """Sum the products of every window under tent weights, without bias and ramp; `able` where it has `least` weighted pixels."""
+    for r in range(start, stop):
+        for c in range(counts.shape[1]):
+            n, g = _count_window(counts, r, c), windows[r, c]
+            if n < least[r, c]:
+                continue
+            for a in range(max(r - 1, 0), min(r + 2, counts.shape[0])):
+                for b in range(max(c - 1, 0), min(c + 2, counts.shape[1])):
+                    _add_scaled(g, _tent(r, c, a, b), sums[a, b])
+            able[r, c] = _eliminate(g, r, c, n)
 
 
 @njit
@@ -260,272 +214,130 @@ def _add_scaled(g, weight, cell):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _free(g, d, r, c, n, gram, mixed, ramp):  # type: ignore[no-untyped-def]
-    """Centre a window's sums and take bias and ramp out; `ramp` is left factored; False if ill."""
-    # Ramps about the window's own centre keep the system well conditioned.
-    for i in range(d):
-        g[1, i] -= (c + 0.5) * g[0, i]
-        g[2, i] -= (r + 0.5) * g[0, i]
-    for i in range(d):
-        g[i, 1] -= (c + 0.5) * g[i, 0]
-        g[i, 2] -= (r + 0.5) * g[i, 0]
-    for i in range(3):
-        for j in range(3):
-            ramp[i, j] = g[i, j] + (1e-9 * n if i == j else 0.0)
-    if not _cholesky(ramp, 3):
-        return False
-    right, out = np.empty(3), np.empty((d, 3))
-    for j in range(3, d):
-        for i in range(3):
-            right[i] = g[i, j]
-            mixed[i, j - 3] = g[i, j]
-        _substitute(ramp, 3, right, out[j])
-    for i in range(3, d):
-        for j in range(3, d):
-            gram[i - 3, j - 3] = g[i, j] - (
-                g[i, 0] * out[j, 0] + g[i, 1] * out[j, 1] + g[i, 2] * out[j, 2]
-            )
-    return True
-
-
-@njit(cache=True)
-def sum_windows(start, stop, cells, counts, cell, cover, out):  # type: ignore[no-untyped-def]
-    """Sum every 3 x 3 window of cells under tent weights, without bias and ramp.
-
-    `out` is (able, gram, mixed, ramp); `able` is left at the weighted number of pixels, and at 0 where a window is of no use.
-    """
-    able, gram, mixed, ramp = out
-    rows, cols = counts.shape
-    d = cells.shape[2]
-    g = np.empty((d, d))
-    for r in range(start, stop):
-        for c in range(cols):
-            g[:] = 0.0
-            n = 0.0
-            full = 0.0
-            for a in range(max(r - 1, 0), min(r + 2, rows)):
-                for b in range(max(c - 1, 0), min(c + 2, cols)):
-                    weight = _tent(r, c, a, b)
-                    full += weight * cell * cell
-                    if counts[a, b] > 0:
-                        n += weight * counts[a, b]
-                        _add_scaled(g, weight, cells[a, b])
-            if n >= cover * full and _free(g, d, r, c, n, gram[r, c], mixed[r, c], ramp[r, c]):
-                able[r, c] = n
-
-
-@njit
-def _factor_gains(g, t, ridge, factor, forward):  # type: ignore[no-untyped-def]
-    """Factor the gains' block as L with the reciprocals of its diagonal, and solve L forward = t."""
-    k = len(forward)
-    energy = 0.0
-    for a in range(k):
-        energy += g[a, a]
-    for i in range(k):
+def _factor_rows(a, first, last):  # type: ignore[no-untyped-def]
+    """Factor rows of a symmetric matrix in place, those before them being factored (Cholesky); False where it is not positive."""
+    for i in range(first, last):
         for j in range(i + 1):
-            value = g[i, j] + (ridge * energy if i == j else 0.0)
-            for n in range(j):
-                value -= factor[i, n] * factor[j, n]
-            if i == j:
-                if not value > 0.0:
-                    return False
-                factor[i, i] = 1.0 / np.sqrt(value)
+            total = a[i, j]
+            for m in range(j):
+                total -= a[i, m] * a[j, m]
+            if j < i:
+                a[i, j] = total / a[j, j]
+            elif total > 0.0:
+                a[i, i] = np.sqrt(total)
             else:
-                factor[i, j] = value * factor[j, j]
-        value = t[i]
-        for n in range(i):
-            value -= factor[i, n] * forward[n]
-        forward[i] = value * factor[i, i]
+                return False
     return True
 
 
 @njit
-def _border_shift(g, t, gains, factor, border, grad, right):  # type: ignore[no-untyped-def]
-    """Fill the two rows of the shift: sums of the prediction's gradient, and their part beside the gains."""
-    k = len(gains)
-    for axis in range(2):
-        line = grad[axis]
-        line[:] = 0.0
-        value = 0.0
-        for a in range(k):
-            gain, row = gains[a], g[(1 + axis) * k + a]
-            for c in range(3 * k):
-                line[c] += gain * row[c]
-            value += gain * t[(1 + axis) * k + a]
-        right[axis] = value
-        for i in range(k):
-            value = line[i]
-            for n in range(i):
-                value -= factor[i, n] * border[axis, n]
-            border[axis, i] = value * factor[i, i]
+def _solve(a, n, right, out):  # type: ignore[no-untyped-def]
+    """Solve by the first `n` rows that `_factor_rows` left."""
+    for i in range(n):
+        total = right[i]
+        for m in range(i):
+            total -= a[i, m] * out[m]
+        out[i] = total / a[i, i]
+    for i in range(n - 1, -1, -1):
+        total = out[i]
+        for m in range(i + 1, n):
+            total -= a[m, i] * out[m]
+        out[i] = total / a[i, i]
 
 
 @njit
-def _schur_complement(gains, border, grad):  # type: ignore[no-untyped-def]
-    """Return what the shift's own block keeps once the gains are out of it: xx, xy, and yy less xy²/xx; its trace."""
-    k = len(gains)
-    xx = xy = yy = sxx = sxy = syy = 0.0
-    for a in range(k):
-        xx += gains[a] * grad[0, k + a]
-        xy += gains[a] * grad[1, k + a]
-        yy += gains[a] * grad[1, 2 * k + a]
-        sxx += border[0, a] * border[0, a]
-        sxy += border[1, a] * border[0, a]
-        syy += border[1, a] * border[1, a]
-    tiny = 1e-9 * (xx + yy) + 1e-300
-    xx += tiny
-    yy += tiny
-    p2 = xx - sxx
-    q = xy - sxy
-    r2 = yy - syy - q * q / p2 if p2 > 0.0 else 0.0
-    return p2, q, r2, xx + yy
+def _fit(g, t, ridge, shift, info, sensitivity):  # type: ignore[no-untyped-def]
+    """Fit gains and shift of a window by Gauss-Newton; return the square that is left, negative where it cannot be fitted.
 
-
-@njit
-def _gauss_newton(g, t, ridge, total, answer, sensitivity, work):  # type: ignore[no-untyped-def]
-    """Fit gains and shift; answer holds e, the Schur complement (3) and what is left; False if ill.
-
-    g: sums (3k, 3k) of predictors and derivatives, t: their sums with the target, (3k,). The
-    gains' own block does not change with the shift: it is factored once, and every round borders
-    it by two rows.
+    `g`, (3k, 3k), and `t`, (3k + 1,), are without bias and ramp. Unknowns are k gains and the shift, whose columns are the gradient
+    of the prediction: the gains' own part of the system is factored once, the shift's two rows in each round.
     """
-    gains, factor, forward, border, grad, right = work
-    k = len(gains)
-    if not _factor_gains(g, t, ridge, factor, forward):
-        return False
-    _backward(factor, forward, k, gains)
-    ex = ey = p2 = q = r2 = energy = 0.0
+    k = len(g) // 3
+    a, right, out = np.empty((k + 2, k + 2)), np.empty(k + 2), np.zeros(k + 2)
+    slopes = np.empty((2, 3 * k))
+    energy = 0.0
+    for i in range(k):
+        energy += g[i, i]
+        right[i] = t[i]
+    a[:k, :k] = g[:k, :k]
+    for i in range(k):
+        a[i, i] += ridge * energy
+    if not _factor_rows(a, 0, k):
+        return -1.0
+    _solve(a, k, right, out)
     for _ in range(3):
-        _border_shift(g, t, gains, factor, border, grad, right)
-        p2, q, r2, energy = _schur_complement(gains, border, grad)
-        if not (p2 > 0.0 and r2 > 0.0):
-            return False
-        left_x, left_y = right[0], right[1]
-        for a in range(k):
-            left_x -= border[0, a] * forward[a]
-            left_y -= border[1, a] * forward[a]
-        ey = (left_y - q / p2 * left_x) / r2
-        ex = (left_x - q * ey) / p2
-        for a in range(k):
-            gains[a] = forward[a] - border[0, a] * ex - border[1, a] * ey
-        _backward(factor, gains, k, gains)
-    left = total - ex * right[0] - ey * right[1]
-    for a in range(k):
-        left -= gains[a] * t[a]
-    answer[0], answer[1], answer[5] = ex, ey, left
-    answer[2], answer[3], answer[4] = p2, q, r2 + q * q / p2
-    for a in range(k):
-        for b in range(k):
-            value = grad[0, k + b] + grad[1, 2 * k + b]
-            sensitivity[a, b] = gains[a] * value / energy
-    return True
-
-
-@njit
-def _backward(factor, forward, k, out):  # type: ignore[no-untyped-def]
-    """Solve Lᵀ out = forward, the diagonal of L given by its reciprocals; in place if need be."""
-    for back in range(k):
-        i = k - 1 - back
-        value = forward[i]
-        for n in range(i + 1, k):
-            value -= factor[n, i] * out[n]
-        out[i] = value * factor[i, i]
-
-
-@njit
-def _sum_target(r, c, cell, counts, number, lines, line):  # type: ignore[no-untyped-def]
-    """Sum the target's products of a window's cells; return pixels, pixels if all were known, and whether they are."""
-    rows, cols = number.shape
-    n, full, whole = 0.0, 0.0, True
-    line[:] = 0.0
-    for a in range(max(r - 1, 0), min(r + 2, rows)):
-        for b in range(max(c - 1, 0), min(c + 2, cols)):
-            weight = _tent(r, c, a, b)
-            full += weight * cell * cell
-            whole = whole and number[a, b] == counts[a, b]
-            if number[a, b] > 0:
-                n += weight * number[a, b]
-                for i in range(len(line)):
-                    line[i] += weight * lines[a, b, i]
-    return n, full, whole
-
-
-@njit
-def _sum_partial(r, c, cells, number, slots, partial, g):  # type: ignore[no-untyped-def]
-    """Sum the predictors' products of a window whose cells the target covers in part."""
-    rows, cols = number.shape
-    g[:] = 0.0
-    for a in range(max(r - 1, 0), min(r + 2, rows)):
-        for b in range(max(c - 1, 0), min(c + 2, cols)):
-            if number[a, b] > 0:
-                weight = _tent(r, c, a, b)
-                slot = slots[a, b]
-                _add_scaled(g, weight, cells[a, b] if slot < 0 else partial[slot])
-
-
-@njit
-def _free_target(r, c, line, factor, mix, t):  # type: ignore[no-untyped-def]
-    """Centre the target's sums and take bias and ramp out of them; return what is left of its square."""
-    d = len(line) - 1
-    slope = np.empty(3)
-    line[1] -= (c + 0.5) * line[0]
-    line[2] -= (r + 0.5) * line[0]
-    _substitute(factor, 3, line, slope)
-    for j in range(d - 3):
-        t[j] = line[3 + j] - (slope[0] * mix[0, j] + slope[1] * mix[1, j] + slope[2] * mix[2, j])
-    return line[d] - (line[0] * slope[0] + line[1] * slope[1] + line[2] * slope[2])
+        gains = out[:k].copy()
+        for axis in range(2):
+            row = (1 + axis) * k
+            slopes[axis], right[k + axis] = 0.0, 0.0
+            for i in range(k):
+                right[k + axis] += gains[i] * t[row + i]
+                for j in range(3 * k):
+                    slopes[axis, j] += gains[i] * g[row + i, j]
+            a[k + axis, :k] = slopes[axis, :k]
+            for other in range(axis + 1):
+                total = 0.0
+                for i in range(k):
+                    total += gains[i] * slopes[axis, (1 + other) * k + i]
+                a[k + axis, k + other] = total
+        energy = a[k, k] + a[k + 1, k + 1]
+        for i in (k, k + 1):
+            a[i, i] += 1e-9 * energy + 1e-300
+        if not _factor_rows(a, k, k + 2):
+            return -1.0
+        _solve(a, k + 2, right, out)
+    left = t[3 * k]
+    for i in range(k + 2):
+        left -= out[i] * right[i]
+    shift[:] = out[k:]
+    info[0, 0], info[0, 1] = a[k, k] ** 2, a[k, k] * a[k + 1, k]
+    info[1, 0], info[1, 1] = info[0, 1], a[k + 1, k] ** 2 + a[k + 1, k + 1] ** 2
+    for i in range(k):
+        for j in range(k):
+            sensitivity[i, j] = out[i] * (slopes[0, k + j] + slopes[1, 2 * k + j]) / energy
+    return max(left, 0.0)
 
 
 @njit(cache=True)
-def solve_windows(start, stop, cells, band, windows, limits, out):  # type: ignore[no-untyped-def]
-    """Fit every window whose cells the target covers enough.
+def fit_windows(start, stop, predictor, band, least, ridge, out):  # type: ignore[no-untyped-def]
+    """Fit every window that has `least` weighted pixels.
 
-    Parameters
-    ----------
-    start, stop : int
-        Rows of windows.
-    cells : (rows, columns, d, d)
-        Of `sum_squares`.
-    band : (lines, number, slots, partial)
-        Of `sum_products` and `count_cover`.
-    windows : (counts, able, gram, mixed, ramp)
-        Of `sum_squares` and `sum_windows`.
-    limits : (cell, ridge, cover)
-    out : (shift, information, r2, sensitivity)
-        Filled where a window can be fitted.
+    `predictor` is (sums, counts, able, windows), `band` is (lines, counts, slots, partial), and `out` is (shift, information,
+    r2, sensitivity), which is filled where a window can be fitted.
     """
-    lines, number, slots, partial = band
-    counts, able, gram, mixed, ramp = windows
-    cell, ridge, cover = limits
+    sums, whole, able, windows = predictor
+    lines, counts, slots, partial = band
     shift, info, r2, sensitivity = out
-    d, k = cells.shape[2], sensitivity.shape[2]
-    g, line, t = np.empty((d, d)), np.empty(d + 1), np.empty(d - 3)
-    own_gram, own_mixed, own_ramp = np.empty((d - 3, d - 3)), np.empty((3, d - 3)), np.empty((3, 3))
-    answer = np.empty(6)
-    work = (
-        np.empty(k), np.empty((k, k)), np.empty(k), np.empty((2, k)), np.empty((2, d - 3)),
-        np.empty(2),
-    )  # fmt: skip
+    d, k = sums.shape[2], sensitivity.shape[2]
+    own, line = np.empty((d, d)), np.empty(d + 1)
     for r in range(start, stop):
-        for c in range(number.shape[1]):
-            n, full, whole = _sum_target(r, c, cell, counts, number, lines, line)
-            if n < cover * full or n < 3 * (k + 5):
+        for c in range(counts.shape[1]):
+            n = _count_window(counts, r, c)
+            if n < least[r, c] or n < 3 * (k + 5):
                 continue
-            sums, mix, factor = own_gram, own_mixed, own_ramp
-            if whole:
-                if able[r, c] == 0.0:
+            line[:], cut = 0.0, False
+            for a in range(max(r - 1, 0), min(r + 2, counts.shape[0])):
+                for b in range(max(c - 1, 0), min(c + 2, counts.shape[1])):
+                    line += _tent(r, c, a, b) * lines[a, b]
+                    cut = cut or counts[a, b] != whole[a, b]
+            if cut:
+                own[:] = 0.0
+                for a in range(max(r - 1, 0), min(r + 2, counts.shape[0])):
+                    for b in range(max(c - 1, 0), min(c + 2, counts.shape[1])):
+                        if counts[a, b] > 0:
+                            here = partial[slots[a, b]] if slots[a, b] >= 0 else sums[a, b]
+                            _add_scaled(own, _tent(r, c, a, b), here)
+                if not _eliminate(own, r, c, n):
                     continue
-                sums, mix, factor = gram[r, c], mixed[r, c], ramp[r, c]
-            else:
-                _sum_partial(r, c, cells, number, slots, partial, g)
-                if not _free(g, d, r, c, n, own_gram, own_mixed, own_ramp):
-                    continue
-            total = _free_target(r, c, line, factor, mix, t)
-            here = sensitivity[r, c]
-            if not (total > 1e-12 * n and _gauss_newton(sums, t, ridge, total, answer, here, work)):
+            elif not able[r, c]:
                 continue
-            noise = max(answer[5], 1e-9 * total) / max(n - k - 5, 1.0)
-            shift[r, c, 0], shift[r, c, 1] = answer[0], answer[1]
-            info[r, c, 0, 0], info[r, c, 1, 1] = answer[2] / noise, answer[4] / noise
-            info[r, c, 0, 1] = info[r, c, 1, 0] = answer[3] / noise
-            r2[r, c] = 1.0 - answer[5] / total
+            g = own if cut else windows[r, c]
+            _eliminate_band(g, r, c, line)
+            total = line[d]
+            if not total > 1e-12 * n:
+                continue
+            left = _fit(g[3:, 3:], line[3:], ridge, shift[r, c], info[r, c], sensitivity[r, c])
+            if left < 0.0:
+                continue
+            info[r, c] /= max(left, 1e-9 * total) / max(n - k - 5, 1.0)
+            r2[r, c] = 1.0 - left / total

@@ -51,24 +51,9 @@ def fit_base(
 ) -> SelectedModel:
     """Return the base map that the windows of all bands support.
 
-    Raises RegistrationRefused: ``E_WINDOWS``, with fewer than 12.
-
-    Parameters
-    ----------
-    base : Transform
-        Through which they were measured.
-    windows : sequence of WindowShifts
-        One a band.
-    by_hand : ndarray, (n, 4)
-        Reference x, y and target x, y of pairs that are never removed.
-    step : int
-        Reference px per px of the grid.
-    cell : float, reference px
-        Side of a window's cell.
-    terms : SelectionTerms
-        Which models may be taken; lengths are filled in here.
-    among : ndarray of bool, (n,), optional
-        Only of these windows.
+    They were measured through `base` on a grid of `step` reference px, `cell` reference px a cell; one `WindowShifts` a band.
+    `by_hand`, (n, 4), are pairs that are never removed; `among`, (n,) bool, leaves windows out. Raises RegistrationRefused
+    (``E_WINDOWS``) with fewer than 12.
     """
     common, information = fuse_windows(windows)
     used = has_information(information) & (True if among is None else among)
@@ -147,17 +132,14 @@ def total_information(windows: Sequence[WindowShifts]) -> float | None:
     shifts, known = np.zeros((*lattice, 2)), np.zeros((*lattice, 2, 2))
     shifts[y, x], known[y, x] = common, information
     distances, apart = [], SETTINGS.apart
-    for axis in (0, 1):
-        there = has_information(known.reshape(-1, 2, 2)).reshape(lattice)
-        middle, low, high = (
-            tuple(part if k == axis else slice(None) for k in (0, 1))
-            for part in (slice(apart, -apart), slice(-2 * apart), slice(2 * apart, None))
-        )
-        every = there[middle] & there[low] & there[high]
-        miss = (shifts[middle] - (shifts[low] + shifts[high]) / 2)[every]
-        variances = [
-            np.linalg.inv(known[of][every] + 1e-9 * np.eye(2)) for of in (middle, low, high)
-        ]
+    for turn in (False, True):
+        if turn:
+            shifts, known = shifts.swapaxes(0, 1), known.swapaxes(0, 1)
+        parts = slice(apart, -apart), slice(-2 * apart), slice(2 * apart, None)
+        middle, low, high = (shifts[part] for part in parts)
+        every = np.logical_and.reduce([known[part].any((2, 3)) for part in parts])
+        miss = (middle - (low + high) / 2)[every]
+        variances = [np.linalg.inv(known[part][every] + 1e-9 * np.eye(2)) for part in parts]
         expected = variances[0] + (variances[1] + variances[2]) / 4
         distances.append(np.einsum("na,na->n", miss, solve_2x2(expected, miss)))
     found = np.concatenate(distances)

@@ -9,9 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
+from scipy import fft
+from scipy.spatial import cKDTree
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Composed, Inverse
@@ -33,9 +37,8 @@ class WindowSettings:
     apart: int = 4
     """`window`, `reach`, `apart`: side of a window; how far it is searched; how far another peak has to lie."""
     stride: tuple[int, int] = (8, 24)
-    """Least and largest distance of windows."""
+    """Least and largest distance of windows, of which about `windows` are searched."""
     windows: int = 150
-    """About so many are searched."""
     farthest: float = 0.4
     """Shifts, as a share of the frame, up to which whole pictures are compared."""
     band: tuple[float, float] = (1.0, 5.0)
@@ -44,15 +47,13 @@ class WindowSettings:
     """Share of a window that has to be valid."""
     chance_percent: float = 99.0
     """Percentile of the peaks of unrelated windows above which a window is found."""
-    least_chances: int = 20
-    """Unrelated windows by which chance is measured."""
-    least_near: int = 2
-    """Confirmed windows that have to be near a place: one may be found by chance."""
     reach_cells: float = 2.0
     """A window of the dense registration is three cells wide, and a frame's rim may be short of one."""
 
 
 SETTINGS = WindowSettings()
+LEAST_CHANCES = 20
+"""Unrelated windows by which chance is measured."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,8 @@ class WindowSearch:
     """Windows searched under a map; one row a window inside the overlap that has structure."""
 
     centres: np.ndarray
-    """(n, 2), reference px."""
     shift: np.ndarray
-    """(n, 2), reference px. From where the map puts the window to where it is found."""
+    """`centres`, `shift`: (n, 2), reference px: middle, and from where the map puts the window to where it is found."""
     peak: np.ndarray
     """(n,), 0..1. Correlation there, whatever its sign."""
     chance: float
@@ -91,9 +91,8 @@ class CheckWindows:
     """
 
     centres: np.ndarray
-    """(n, 2), reference px."""
     shift: np.ndarray
-    """(n, 2), reference px. From where the map puts the window to where it is found."""
+    """`centres`, `shift`: (n, 2), reference px, as of `WindowSearch`."""
     found: np.ndarray
     """(n,). Whether it is recognised beyond chance."""
     tolerance: float
@@ -116,16 +115,14 @@ class CheckWindows:
     def beyond(self, points: np.ndarray) -> np.ndarray:
         """Return how far beyond what is checked `points`, (n, 2), lie: (n,) reference px, 0 within.
 
-        Infinite where fewer than `least_near` windows confirm anything.
+        Infinite where fewer than two windows confirm anything: one may be found by chance.
         """
-        from scipy.spatial import cKDTree
-
         places = self.centres[self.confirmed]
-        if len(places) < SETTINGS.least_near:
+        if len(places) < 2:
             return np.full(len(points), np.inf)
         if self.outline is not None:
             points = nearest_within(self.outline, points)
-        far = np.asarray(cKDTree(places).query(points, k=SETTINGS.least_near)[0])[:, -1] - self.side
+        far = np.asarray(cKDTree(places).query(points, k=2)[0])[:, -1] - self.side
         if self.predicted is not None and len(self.predicted):
             near = np.asarray(cKDTree(self.predicted).query(points)[0])
             far = np.maximum(far, near - SETTINGS.reach_cells * self.cell)
@@ -149,10 +146,9 @@ class CheckWindows:
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> CheckWindows:
         """Read what `to_dict` wrote."""
-        columns = {key: np.array(record[key], float) for key in ("x", "y", "shift_x", "shift_y")}
         return cls(
-            np.stack([columns["x"], columns["y"]], 1),
-            np.stack([columns["shift_x"], columns["shift_y"]], 1),
+            np.array([record["x"], record["y"]], float).T,
+            np.array([record["shift_x"], record["shift_y"]], float).T,
             np.array(record["found"], bool),
             float(record["tolerance"]),
             float(record["side"]),
@@ -169,24 +165,19 @@ def search_windows(
     *,
     region: tuple[float, ...] | None = None,
 ) -> WindowSearch:
-    """Search windows of the reference in the target near where `transform` puts them.
+    """Search windows of the reference in the target near where `transform`, reference px → target px, puts them.
 
-    Parameters
-    ----------
-    reference, target : (values, valid), float32 and bool
-        Grey pictures, (h, w), in reference px and in px of the target. Values may be (k, h, w), pictures of one object that have one map:
-        their correlations are averaged, each weighted by how well both agree under the map.
-    transform : Transform
-        Reference px → target px.
-    region : (x, y, width, height), reference px, optional
-        Where to look.
+    Pictures are (values, valid), (h, w) float32 and bool, grey. Values may be (k, h, w), pictures of one object that have one map: their
+    correlations are averaged, each weighted by how well both agree under the map. `region` is (x, y, width, height), reference px.
     """
     valid = reference[1] & region_mask(region, reference[1].shape)
     enlargement = _sampling(transform, valid.shape)
     step = max(1.0, max(valid.shape) / SETTINGS.long_side, 1.0 / max(enlargement, 0.2))
     finer = min(1.0, 1.0 / (step * enlargement)) if enlargement > 0 else 1.0
     details, shown = [], valid
-    for values, other in zip(_planes(reference[0]), _planes(target[0]), strict=True):
+    for values, other in zip(
+        *(p.reshape(-1, *p.shape[-2:]) for p, _ in (reference, target)), strict=True
+    ):
         ours, ours_valid, back = area_average(values, valid, 1.0 / step)
         theirs, theirs_valid, theirs_back = area_average(other, target[1], max(finer, 0.02))
         pulled = Composed(back, transform, Inverse(theirs_back))
@@ -205,21 +196,12 @@ def search_windows(
     return WindowSearch(centres, shift * scale, peak, chance, second_peak_ratio, scale)
 
 
-def _planes(values: np.ndarray) -> np.ndarray:
-    return values if values.ndim == 3 else values[None]
-
-
 def _weighted(a: list[np.ndarray], b: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return details of several pictures, (k, h, w), each times the root of its weight, the correlation of both; the weights' sum is 1."""
     if len(a) == 1:
         return a[0][None], b[0][None]
-    shares = np.array(
-        [
-            max(float(np.corrcoef(u.ravel(), v.ravel())[0, 1]), 0.0)
-            for u, v in zip(a, b, strict=True)
-        ]
-    )
-    shares = np.where(np.isfinite(shares), shares, 0.0)
+    agreed = [np.corrcoef(u.ravel(), v.ravel())[0, 1] for u, v in zip(a, b, strict=True)]
+    shares = np.maximum(np.nan_to_num(agreed), 0.0)
     shares = shares / shares.sum() if shares.any() else np.full(len(a), 1 / len(a))
     roots = np.sqrt(shares).astype(np.float32)[:, None, None]
     return np.stack(a) * roots, np.stack(b) * roots
@@ -236,8 +218,6 @@ def _sampling(transform: Transform, shape: tuple[int, ...]) -> float:
 
 def _band_pass(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Keep detail between two scales, 0 where invalid, at equal contrast everywhere."""
-    import cv2
-
     weight = valid.astype(np.float32)
     filled = np.where(valid, values, 0).astype(np.float32)
 
@@ -254,8 +234,6 @@ def _band_pass(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 def _places(valid: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return top left corners, (n, 2) of x, y, of windows with enough valid px and structure."""
-    import cv2
-
     h, w = valid.shape
     stride = int(np.clip(np.sqrt(valid.sum() / SETTINGS.windows), *SETTINGS.stride))
     x = np.arange(0, w - SETTINGS.window + 1, stride)
@@ -263,64 +241,47 @@ def _places(valid: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     if not len(x) or not len(y):
         return np.empty((0, 2), int)
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    counts = cv2.integral(valid.astype(np.uint8))
-    total = _box(counts, grid)
-    good = total >= SETTINGS.least_cover * SETTINGS.window**2
+    area = SETTINGS.window**2
+    good = _box(cv2.integral(valid.astype(np.uint8)), grid) >= SETTINGS.least_cover * area
     for stack in (a, b):
-        energy = _box(cv2.integral(np.square(stack).sum(0)), grid)
-        good &= energy > 0.05 * SETTINGS.window**2
+        good &= _box(cv2.integral(np.square(stack).sum(0)), grid) > 0.05 * area
     return grid[good]
 
 
 def _box(integral: np.ndarray, places: np.ndarray) -> np.ndarray:
     x, y = places.T
-    far_x, far_y = x + SETTINGS.window, y + SETTINGS.window
-    return np.asarray(
-        integral[far_y, far_x] - integral[y, far_x] - integral[far_y, x] + integral[y, x]
-    )
+    far, low = x + SETTINGS.window, y + SETTINGS.window
+    return np.asarray(integral[low, far] - integral[y, far] - integral[low, x] + integral[y, x])
 
 
 def _correlations(a: np.ndarray, b: np.ndarray, at: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Return |correlation| of the window of `a`, (k, h, w), at `at` with `b` around `near`, the mean over k by weight."""
-    import cv2
-
-    _, h, w = b.shape
     (x, y), (u, v) = at, near
-    left, top = max(u - SETTINGS.reach, 0), max(v - SETTINGS.reach, 0)
-    right, bottom = (
-        min(u + SETTINGS.reach + SETTINGS.window, w),
-        min(v + SETTINGS.reach + SETTINGS.window, h),
-    )
+    reach, side = SETTINGS.reach, SETTINGS.window
+    left, top = max(u - reach, 0), max(v - reach, 0)
+    around = np.s_[top : v + reach + side, left : u + reach + side]
     scores = np.zeros((1, 1), np.float32)
     for one, other in zip(a, b, strict=True):
-        template = one[y : y + SETTINGS.window, x : x + SETTINGS.window]
-        found = cv2.matchTemplate(other[top:bottom, left:right], template, cv2.TM_CCOEFF_NORMED)
-        scores = scores + (found if len(a) == 1 else found * _share(template))
-    full = np.zeros((2 * SETTINGS.reach + 1, 2 * SETTINGS.reach + 1), np.float32)
-    dy, dx = top - (v - SETTINGS.reach), left - (u - SETTINGS.reach)
+        template = one[y : y + side, x : x + side]
+        found = cv2.matchTemplate(other[around], template, cv2.TM_CCOEFF_NORMED)
+        # Detail of unit variance was multiplied by the root of its weight.
+        scores = scores + (found if len(a) == 1 else found * np.square(template).mean())
+    full = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
+    dy, dx = top - (v - reach), left - (u - reach)
     full[dy : dy + scores.shape[0], dx : dx + scores.shape[1]] = np.abs(scores)
     full[~np.isfinite(full) | (full > 1.0001)] = 0
     return full
 
 
-def _share(template: np.ndarray) -> np.float32:
-    """Return the weight of a picture, which its detail of unit variance was multiplied by the root of."""
-    return np.float32(np.square(template).mean())
-
-
 def _search(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (peak, shift) of every window."""
-    n = len(places)
-    peak, shift = np.zeros(n), np.zeros((n, 2))
-    offsets = np.arange(-SETTINGS.reach, SETTINGS.reach + 1)
+    peak, shift = np.zeros(len(places)), np.zeros((len(places), 2))
     for i, place in enumerate(places):
         scores = _correlations(a, b, place, place)
-        row, column = np.unravel_index(int(scores.argmax()), scores.shape)
+        row, column = (int(k) for k in np.unravel_index(int(scores.argmax()), scores.shape))
         peak[i] = scores[row, column]
-        shift[i] = (
-            offsets[column] + peak_offset(scores[row], int(column)),
-            offsets[row] + peak_offset(scores[:, column], int(row)),
-        )
+        offset = peak_offset(scores[row], column), peak_offset(scores[:, column], row)
+        shift[i] = np.array([column, row]) - SETTINGS.reach + offset
     return peak, shift
 
 
@@ -337,14 +298,12 @@ def _chance(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
     """Return the peak that 1 % of unrelated windows reach."""
     if len(places) < 2:
         return 1.0
-    peaks = []
-    n = len(places)
-    for i in range(n):
-        for part in (3, 2):
-            other = places[(i + n // part + i % 7) % n]
-            if np.abs(other - places[i]).max() > SETTINGS.window + SETTINGS.reach:
-                peaks.append(float(_correlations(a, b, places[i], other).max()))
-    if len(peaks) < SETTINGS.least_chances:
+    peaks, n = [], len(places)
+    for i, part in product(range(n), (3, 2)):
+        other = places[(i + n // part + i % 7) % n]
+        if np.abs(other - places[i]).max() > SETTINGS.window + SETTINGS.reach:
+            peaks.append(float(_correlations(a, b, places[i], other).max()))
+    if len(peaks) < LEAST_CHANCES:
         # In a small picture no two windows are far apart: it is turned and mirrored instead.
         for turned in (b[:, ::-1, ::-1], b[:, ::-1], b[:, :, ::-1]):
             c = np.ascontiguousarray(turned)
@@ -354,8 +313,6 @@ def _chance(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
 
 def _strength(detail: np.ndarray) -> np.ndarray:
     """Return how strong detail is, whatever its sign, about its mean; 0 where invalid."""
-    import cv2
-
     known = detail != 0
     strength = cv2.GaussianBlur(np.abs(detail), (0, 0), SETTINGS.band[0])
     mean = float(strength[known].mean()) if known.any() else 0.0
@@ -364,8 +321,6 @@ def _strength(detail: np.ndarray) -> np.ndarray:
 
 def _second_peak_ratio(a: np.ndarray, b: np.ndarray) -> float:
     """Return the largest |correlation| at a shift of more than `SETTINGS.apart`, relative to none."""
-    from scipy import fft
-
     reach = [round(SETTINGS.farthest * n) for n in a.shape[1:]]
     shape = [fft.next_fast_len(n + r, real=True) for n, r in zip(a.shape[1:], reach, strict=True)]
 
