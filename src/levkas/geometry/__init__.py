@@ -28,23 +28,20 @@ def from_dict(record: dict[str, Any]) -> Transform:
     return KINDS[kind](record)
 
 
-def _array(record: dict[str, Any], key: str) -> np.ndarray:
-    return np.array(record[key], float)
+def _of_numbers(kind: Callable[..., Transform]) -> Callable[[dict[str, Any]], Transform]:
+    """Return what makes a map from its numbers and lists of numbers."""
+
+    def made(record: dict[str, Any]) -> Transform:
+        lists = {k: np.array(v, float) if isinstance(v, list) else v for k, v in record.items()}
+        return kind(**{k: v for k, v in lists.items() if k != "kind"})
+
+    return made
 
 
 KINDS: dict[str, Callable[[dict[str, Any]], Transform]] = {
-    "affine": lambda r: Affine(_array(r, "matrix")),
-    "homography": lambda r: Homography(_array(r, "matrix")),
-    "polynomial": lambda r: Polynomial(
-        r["order"], _array(r, "centre"), r["spread"], _array(r, "coefficients")
-    ),
-    "lens": lambda r: Lens(
-        _array(r, "centre"), r["spread"], tuple(r["radial"]), tuple(r["tangential"])
-    ),
+    **{one.__name__.lower(): _of_numbers(one) for one in (Affine, Homography, Polynomial, Lens)},
     "composed": lambda r: Composed(*(from_dict(step) for step in r["steps"])),
     "inverse": lambda r: Inverse(from_dict(r["of"])),
     "spline": SplineShift.from_dict,
-    "depth_step": lambda r: DepthStepShift(
-        _array(r, "lines"), r["width"], _array(r, "centre"), r["spread"], _array(r, "shift")
-    ),
+    "depth_step": _of_numbers(DepthStepShift),
 }

@@ -31,17 +31,16 @@ class Grid:
     Parameters
     ----------
     size : (width, height)
-        Of the reference frame, native px.
+        Of the reference frame, native px; as an attribute that of the grid.
     mirror : bool
         x flips, first of all.
     rotate : float
         Degrees clockwise as seen, next. Multiples of 90 map whole pixels to whole pixels.
     region : (x, y, width, height), px, optional
-        In the turned frame at native scale, origin at the top left of its bounding box; may reach
-        beyond it. Default: the whole bounding box, rounded up to whole pixels.
+        In the turned frame at native scale, origin at the top left of its bounding box; may reach beyond it. Default:
+        the whole bounding box, rounded up to whole pixels.
     output : (width, height), px, optional
-        Of the grid. Default: the region's, rounded. The scales along x and y are output / region,
-        each on its own, where the two have not the same proportions.
+        Of the grid. Default: the region's, rounded. The scales along x and y are output / region, each on its own.
 
     Attributes
     ----------
@@ -49,8 +48,6 @@ class Grid:
         Grid px → reference px.
     turned : Affine
         Px of the turned frame, before cropping and scaling, → reference px.
-    size : (width, height) of the grid
-    region : (x, y, width, height) of the turned frame that the grid shows
 
     Raises
     ------
@@ -83,29 +80,24 @@ class Grid:
     ) -> None:
         _check_sides("size", size)
         forward, bounds = _turn(size, mirror, rotate)
-        back = np.linalg.inv(forward) if rotate % 90 else _inverse(forward)
+        back = np.linalg.inv(forward)
+        if not rotate % 90:  # a map of whole pixels, without rounding
+            back[:2, :2] = forward[:2, :2].T
+            back[:2, 2] = -forward[:2, :2].T @ forward[:2, 2] + 0.0
         whole = (0.0, 0.0, *(float(ceil(side - 1e-6)) for side in bounds))
         x, y, width, height = whole if region is None else (float(v) for v in region)
         _check_sides("grid.region", (width, height))
-        if x >= bounds[0] or y >= bounds[1] or x + width <= 0 or y + height <= 0:
+        outside = x >= bounds[0] or y >= bounds[1] or x + width <= 0 or y + height <= 0
+        if outside or max(width / bounds[0], height / bounds[1]) > MOST_FRAMES:
+            what = "lies outside" if outside else "is far larger than"
+            most = "within" if outside else f"at most {MOST_FRAMES} times"
             raise GridRefused(
                 Problem(
-                    "E_VALUE",
-                    "the region of the grid lies outside the turned frame",
+                    "E_VALUE" if outside else "E_SIZE",
+                    f"the region of the grid {what} the turned frame",
                     field="grid.region",
                     found=[x, y, width, height],
-                    expected=f"within {bounds[0]:.6g} x {bounds[1]:.6g} px",
-                    fix="Give the region in the frame after mirror and rotate, at native scale.",
-                )
-            )
-        if max(width / bounds[0], height / bounds[1]) > MOST_FRAMES:
-            raise GridRefused(
-                Problem(
-                    "E_SIZE",
-                    "the region of the grid is far larger than the turned frame",
-                    field="grid.region",
-                    found=[x, y, width, height],
-                    expected=f"at most {MOST_FRAMES} times {bounds[0]:.6g} x {bounds[1]:.6g} px a side",
+                    expected=f"{most} {bounds[0]:.6g} x {bounds[1]:.6g} px",
                     fix="Give the region in the frame after mirror and rotate, at native scale.",
                 )
             )
@@ -149,22 +141,9 @@ def _turn(
     return matrix @ flip, (float(high[0] - low[0]), float(high[1] - low[1]))
 
 
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Invert a map of whole pixels without rounding: its linear part is its own transpose."""
-    result = np.eye(3)
-    result[:2, :2] = matrix[:2, :2].T
-    result[:2, 2] = -matrix[:2, :2].T @ matrix[:2, 2] + 0.0
-    return result
-
-
 def _check_sides(name: str, sides: tuple[float, float]) -> None:
     if not all(np.isfinite(side) and side > 0 for side in sides):
+        what, expected = "a frame needs positive sides", "[width, height] above 0"
         raise GridRefused(
-            Problem(
-                "E_VALUE",
-                "a frame needs positive sides",
-                field=name,
-                found=list(sides),
-                expected="[width, height] above 0",
-            )
+            Problem("E_VALUE", what, field=name, found=list(sides), expected=expected)
         )

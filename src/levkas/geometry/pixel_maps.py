@@ -1,10 +1,9 @@
 """Where every grid pixel falls in the source, from a few places at which the maps are evaluated.
 
-A map is evaluated on a lattice of nodes, interpolated to order 5 down the rows, and laid as
-cubics along segments of them; the middles of its cells are checked against the map itself, and the
-lattice is made finer until the largest error is below `TOLERANCE_PX`, or where the map steps at a ledge
-below `STEP_SHARE` of that step. Maps that no lattice follows (folds, places without an answer) are
-evaluated at every pixel.
+A map is evaluated on a lattice of nodes, interpolated to order 5 down the rows, and laid as cubics along segments of
+them; the middles of its cells are checked against the map itself, and the lattice is made finer until the largest
+error is below `TOLERANCE_PX`, or where the map steps at a ledge below `STEP_SHARE` of that step. Maps that no lattice
+follows (folds, places without an answer) are evaluated at every pixel.
 """
 
 from __future__ import annotations
@@ -26,27 +25,26 @@ if TYPE_CHECKING:
 
 TOLERANCE_PX = 1e-4
 STEP_SHARE = 1 / 50
-"""Where a ledge lies is known to pixels: what it displaces need not be laid out more exactly. Along a slope
-of 30 px so much is a third of a pixel of its place."""
+"""Where a ledge lies is known to pixels: what it displaces need not be laid out more exactly. Along a slope of 30 px
+so much is a third of a pixel of its place."""
 LATTICES = ((128, 32), (32, 16), (8, 8), (4, 4), (2, 2))
 """Distance of nodes and length of segments, grid px."""
 NODES = 6
 AT_ONCE = 8
 """Bands whose maps are laid side by side: their tables are held together."""
-CHECKS = 400
-"""Check points on either axis, at most: fewer would miss the slope of a ledge."""
+CHECKS, FEW = 400, 50
+"""Check points on either axis, at most: fewer would miss the slope of a ledge. `FEW` of them, looked at first, show that
+most lattices do not serve."""
 ASIDE = 4
 """Distance of nodes, grid px, from which on a px beside the middle is still far from them."""
-FEW = 50
-"""These few show already that most lattices do not serve."""
 COARSE, COARSER = 1.1, 1.5
-"""Source px per grid px: from the first on the kernel is widened against aliasing, from the second
-on by the whole scale; between them gradually, so that bands of nearly one scale are treated alike."""
+"""Source px per grid px: from the first on the kernel is widened against aliasing, from the second on by the whole
+scale; between them gradually, so that bands of nearly one scale are treated alike."""
 SMALL = 4096
 """Grids of at most so many pixels are evaluated whole."""
 BLOCK = 16
-"""Rows evaluated at once where no lattice serves: always the same ones, so that a tile's bytes
-do not depend on where it begins."""
+"""Rows evaluated at once where no lattice serves: always the same ones, so that a tile's bytes do not depend on where
+it begins."""
 FAR = -float(1 << 30)
 
 
@@ -54,17 +52,9 @@ FAR = -float(1 << 30)
 class Lattice:
     """The map of one band, or of all, laid out.
 
-    Parameters
-    ----------
-    table : ndarray or None
-        (rows, segments, 10): coefficients of 1, t, t², t³ of x and of y along a segment, source px, and the scales along
-        x and y, source px per grid px. None: the maps are evaluated at every pixel.
-    segment : int
-        Grid px.
-    error : float
-        Largest distance to the map at the check points, px; 0 where every pixel is evaluated.
-    coarsest : float
-        Largest scale.
+    `table`, (rows, segments, 10): coefficients of 1, t, t², t³ of x and of y along a segment of `segment` grid px, source
+    px, and the scales along x and y, source px per grid px, of which `coarsest` is the largest. None: the map is
+    evaluated at every pixel. `error`: largest distance to the map at the check points, px.
     """
 
     transform: Transform
@@ -81,16 +71,7 @@ class Lattice:
 
 @dataclass(frozen=True, eq=False)
 class PixelMap:
-    """Maps of all bands on a grid, laid out for resampling; made by `lay`.
-
-    Parameters
-    ----------
-    shape : (height, width) of the grid
-    bands : int or None
-        None: one map for however many bands there are.
-    lattices : tuple of Lattice
-        One for all bands, or one each.
-    """
+    """Maps on a grid of `shape` (height, width), laid out by `lay`: one for all bands (`bands` None), or one each."""
 
     shape: tuple[int, int]
     bands: int | None
@@ -103,20 +84,8 @@ class PixelMap:
 
 
 def lay(transforms: Transform | Sequence[Transform], shape: tuple[int, int]) -> PixelMap:
-    """Lay maps out on a grid.
+    """Lay maps, grid px → source px, out on a grid of `shape` (height, width): one for all bands, or one each.
 
-    Parameters
-    ----------
-    transforms : Transform or sequence of Transform
-        Grid px → source px: one for all bands, or one each.
-    shape : (height, width) of the grid
-
-    Returns
-    -------
-    pixel_map : PixelMap
-
-    Examples
-    --------
     >>> from levkas.geometry.transforms import Affine
     >>> lay(Affine.scaling(0.5), (800, 600)).lattices[0].table.shape
     (8, 19, 10)
@@ -135,21 +104,18 @@ def lay_bands(
 
     Tables of a scan's bands can take more memory than its pixels: no more than `AT_ONCE` are held here.
     """
-    if not isinstance(transforms, Sequence):
-        transforms = [transforms]
-    if not transforms:
+    maps = transforms if isinstance(transforms, Sequence) else [transforms]
+    if not maps:
         raise ValueError("there is no transform: give one for all bands, or one for each")
-    first = _lay_band(transforms[0], shape)
+    first = _lay_band(maps[0], shape)
     # Bands of a capture are bent alike: a lattice too coarse for the first is not tried for others.
     lattices = [rung for rung in LATTICES if rung[1] <= first.segment] or LATTICES
     yield first
     del first
-    if all(one is transforms[0] for one in transforms):
+    if all(one is maps[0] for one in maps):
         return
-    for start in range(1, len(transforms), AT_ONCE):
-        some = each(
-            lambda one: _lay_band(one, shape, lattices), transforms[start : start + AT_ONCE]
-        )
+    for start in range(1, len(maps), AT_ONCE):
+        some = each(lambda one: _lay_band(one, shape, lattices), maps[start : start + AT_ONCE])
         while some:
             yield some.pop(0)
 
@@ -187,6 +153,9 @@ def _is_near(found: np.ndarray) -> bool:
     return bool(np.isfinite(found).all() and np.abs(found).max() <= -FAR / 4)
 
 
+# --- a lattice's error and scale --------------------------------------------------------------
+
+
 def _error(
     transform: Transform,
     table: np.ndarray,
@@ -195,10 +164,7 @@ def _error(
     nodes: tuple[np.ndarray, np.ndarray],
     tolerance: float,
 ) -> float | None:
-    """Return the largest error of a table at the middles of cells; None where it is too large.
-
-    Few of them are computed first: most tables that do not serve show it there.
-    """
+    """Return the largest error of a table at the middles of cells; None where it is too large."""
     x, y = (_checks(n) for n in nodes)
     for every in (CHECKS // FEW, 1):
         few = x[::every], y[::every]
@@ -227,11 +193,11 @@ def _checks(nodes: np.ndarray) -> np.ndarray:
     if len(middles) > 2 and nodes[1] - nodes[0] >= ASIDE:
         middles[1:-1:2] += 1
     middles = np.unique(middles)
-    chosen = np.unique(np.linspace(0, len(middles) - 1, CHECKS).round().astype(int))
-    return middles[chosen]
+    return middles[np.unique(np.linspace(0, len(middles) - 1, CHECKS).round().astype(int))]
 
 
 def _coarsest(nodes: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
+    """Return the largest scale between neighbouring nodes, source px per grid px."""
     scale = 0.0
     for axis in range(2):
         steps = [
@@ -241,6 +207,9 @@ def _coarsest(nodes: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
         along, down = (float(np.nanmax(np.abs(s))) if np.isfinite(s).any() else 0.0 for s in steps)
         scale = max(scale, float(np.hypot(along, down)))
     return scale
+
+
+# --- tables -----------------------------------------------------------------------------------
 
 
 def lagrange(places: np.ndarray, count: int) -> csr_array:
@@ -259,35 +228,28 @@ def lagrange(places: np.ndarray, count: int) -> csr_array:
 
 
 def _table(nodes: np.ndarray, shape: tuple[int, int], segment: int) -> np.ndarray:
-    """Lay cubics along the segments of each row of nodes, through four places of each."""
+    """Lay cubics along the segments of each row of nodes, through places at their thirds; return (rows, segments, 10)."""
     (height, width), (rows, columns) = shape, nodes.shape[:2]
-    count = ceil(width / segment)
-    thirds = np.arange(3 * count + 1) * (segment / 3) * ((columns - 1) / (width - 1))
+    thirds = (
+        np.arange(3 * ceil(width / segment) + 1) * (segment / 3) * ((columns - 1) / (width - 1))
+    )
     along = lagrange(thirds, columns) @ nodes.transpose(1, 0, 2).reshape(columns, -1)
     along = along.reshape(-1, rows, 2).transpose(1, 0, 2)
-    return _lay_segments(along, segment, (height - 1) / (rows - 1))
-
-
-def _lay_segments(along: np.ndarray, length: int, step_y: float) -> np.ndarray:
-    """Return (rows, segments, 10): a cubic along each segment of each row of nodes, and the scales.
-
-    `along`, (rows, 3 segments + 1, 2), are places at thirds of the segments, `length` px long; rows are `step_y` px apart.
-    """
     p, q, u, v = along[:, :-1:3], along[:, 1::3], along[:, 2::3], along[:, 3::3]
     table = np.empty((*p.shape[:2], 10))
     table[..., 0:8:4] = p
     slopes = (
-        (18 * q - 11 * p - 9 * u + 2 * v) / (2 * length),
-        4.5 * (2 * p - 5 * q + 4 * u - v) / length**2,
-        4.5 * (3 * q - p - 3 * u + v) / length**3,
+        (18 * q - 11 * p - 9 * u + 2 * v) / (2 * segment),
+        4.5 * (2 * p - 5 * q + 4 * u - v) / segment**2,
+        4.5 * (3 * q - p - 3 * u + v) / segment**3,
     )
     for k, slope in enumerate(slopes, 1):
         # What is left of rounding would make a copy of whole pixels an interpolation.
-        table[..., k:8:4] = np.where(np.abs(slope) * length**k >= 1e-9, slope, 0.0)
-    row, middle = np.arange(len(along)), (q + u) / 2
-    above, below = np.maximum(row - 1, 0), np.minimum(row + 1, len(along) - 1)
-    down = (middle[below] - middle[above]) / ((below - above) * step_y)[:, None, None]
-    table[..., 8:] = np.hypot((v - p) / length, down)
+        table[..., k:8:4] = np.where(np.abs(slope) * segment**k >= 1e-9, slope, 0.0)
+    row, middle, step = np.arange(rows), (q + u) / 2, (height - 1) / (rows - 1)
+    above, below = np.maximum(row - 1, 0), np.minimum(row + 1, rows - 1)
+    down = (middle[below] - middle[above]) / ((below - above) * step)[:, None, None]
+    table[..., 8:] = np.hypot((v - p) / segment, down)
     return table
 
 
@@ -311,22 +273,18 @@ def _between_rows(table: np.ndarray, y: np.ndarray, height: int) -> np.ndarray:
 def exact_table(lattice: Lattice, shape: tuple[int, int], start: int, stop: int) -> np.ndarray:
     """Evaluate the map at every pixel of rows `start` to `stop`, blocks of `BLOCK` rows.
 
-    Returns
-    -------
-    table : ndarray, (stop - start, width, 10)
-        As `Lattice.table`, a segment a pixel; far away where there is no answer.
+    The table is that of a `Lattice`, a segment a pixel; far away where there is no answer.
     """
     width = shape[1]
     table = np.zeros((stop - start, width, 10))
     for low in range(start - start % BLOCK, stop, BLOCK):
         high = min(low + BLOCK, shape[0])
         above, below = max(low - 1, 0), min(high + 1, shape[0])
-        y, x = np.mgrid[above:below, :width]
-        points = np.stack([x.ravel(), y.ravel()], 1).astype(float)
         here = slice(max(low, start) - start, min(high, stop) - start)
         part = slice(max(low, start) - above, min(high, stop) - above)
         with np.errstate(all="ignore"):
-            places = np.asarray(lattice.transform(points), float).reshape(*x.shape, 2)
+            rows, columns = np.arange(float(above), below), np.arange(float(width))
+            places = _map_raster(lattice.transform, columns, rows).reshape(-1, width, 2)
             far = ~(np.abs(places) < -FAR / 4).all(-1)
             for axis in range(2):
                 p = places[..., axis]
@@ -335,6 +293,9 @@ def exact_table(lattice: Lattice, shape: tuple[int, int], start: int, stop: int)
                 table[here, :, 8 + axis] = scale[part]
                 table[here, :, 4 * axis] = np.where(far, FAR, p)[part]
     return table
+
+
+# --- what resampling takes from a lattice -----------------------------------------------------
 
 
 def widths(scales: np.ndarray) -> np.ndarray:

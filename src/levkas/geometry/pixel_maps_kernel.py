@@ -1,4 +1,4 @@
-"""Compiled loops of maps: splines and polynomials."""
+"""Compiled loops of maps: splines and depth steps."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -43,8 +43,8 @@ def _sums(knots, i, j, axis, bx, by, dx, dy):
 
 
 @njit(cache=True)
-def displace(points, origin, spacing, coefficients):
-    """Return displaced points, (n, 2); beyond the knots the displacement goes on in a straight line."""
+def displace(points, origin, spacing, coefficients, slopes):
+    """Return displaced points, (n, 2), straight on beyond the knots; fill their derivatives where `slopes` is (n, 2, 2)."""
     rows, columns = coefficients.shape[:2]
     out = np.empty_like(points)
     bx, by, dx, dy = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
@@ -57,71 +57,9 @@ def displace(points, origin, spacing, coefficients):
             shift, along, down, both = _sums(coefficients, i, j, axis, bx, by, dx, dy)
             shift += along * over_x + down * over_y + both * over_x * over_y
             out[n, axis] = points[n, axis] + shift
-    return out
-
-
-@njit(cache=True)
-def polynomial(points, order, centre, spread, coefficients):
-    """Return Σ c u^i v^j at points, (n, 2); terms by total degree, those of u first."""
-    out = np.empty((len(points), 2))
-    us, vs = np.ones(order + 1), np.ones(order + 1)
-    for n in range(len(points)):
-        u, v = (points[n, 0] - centre[0]) / spread, (points[n, 1] - centre[1]) / spread
-        for k in range(order):
-            us[k + 1] = us[k] * u
-            vs[k + 1] = vs[k] * v
-        x = y = 0.0
-        term = 0
-        for degree in range(order + 1):
-            for j in range(degree + 1):
-                power = us[degree - j] * vs[j]
-                x += power * coefficients[term, 0]
-                y += power * coefficients[term, 1]
-                term += 1
-        out[n, 0], out[n, 1] = x, y
-    return out
-
-
-@njit(cache=True)
-def displace_slopes(points, origin, spacing, coefficients):
-    """Return the derivatives of `displace`, (n, 2, 2)."""
-    rows, columns = coefficients.shape[:2]
-    out = np.empty((len(points), 2, 2))
-    bx, by, dx, dy = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    for n in range(len(points)):
-        i, t, over_x = _place((points[n, 0] - origin[0]) / spacing, columns - 3)
-        j, s, over_y = _place((points[n, 1] - origin[1]) / spacing, rows - 3)
-        _weigh(t, bx, dx)
-        _weigh(s, by, dy)
-        for axis in range(2):
-            _, along, down, both = _sums(coefficients, i, j, axis, bx, by, dx, dy)
-            out[n, axis, 0] = (along + both * over_y) / spacing
-            out[n, axis, 1] = (down + both * over_x) / spacing
-        out[n, 0, 0] += 1
-        out[n, 1, 1] += 1
-    return out
-
-
-@njit(cache=True)
-def polynomial_slopes(points, order, centre, spread, coefficients):
-    """Return the derivatives of `polynomial`, (n, 2, 2)."""
-    out = np.zeros((len(points), 2, 2))
-    us, vs = np.ones(order + 1), np.ones(order + 1)
-    for n in range(len(points)):
-        u, v = (points[n, 0] - centre[0]) / spread, (points[n, 1] - centre[1]) / spread
-        for k in range(order):
-            us[k + 1] = us[k] * u
-            vs[k + 1] = vs[k] * v
-        term = 0
-        for degree in range(order + 1):
-            for j in range(degree + 1):
-                i = degree - j
-                along = i * us[max(i - 1, 0)] * vs[j] / spread
-                down = j * us[i] * vs[max(j - 1, 0)] / spread
-                for axis in range(2):
-                    out[n, axis, 0] += along * coefficients[term, axis]
-                    out[n, axis, 1] += down * coefficients[term, axis]
-                term += 1
+            if len(slopes):
+                slopes[n, axis, 0] = (axis == 0) + (along + both * over_y) / spacing
+                slopes[n, axis, 1] = (axis == 1) + (down + both * over_x) / spacing
     return out
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,15 +40,7 @@ BLOCK_BYTES = 1 << 26
 
 @dataclass(frozen=True, eq=False)
 class Warped:
-    """What `warp` gives.
-
-    Parameters
-    ----------
-    values : ndarray, (rows, width, bands), float32
-    flags : ndarray, (rows, width, bands), uint8
-        Bit field of `levkas.core.cube.Flag`.
-    variance : ndarray, (rows, width, bands), float32, or None
-    """
+    """What `warp` gives, (rows, width, bands): float32, bits of `Flag` in uint8, and float32 or None."""
 
     values: np.ndarray
     flags: np.ndarray
@@ -72,15 +63,12 @@ def warp(
     Parameters
     ----------
     source : ndarray, (h, w) or (h, w, bands), float32, uint16 or uint8
-        Values in any unit. Pixels that are not finite are taken as not there.
+        Values in any unit; pixels that are not finite are taken as not there. `flags` and `variance` (in the unit
+        squared) have its shape.
     transforms : Transform, sequence or mapping of Transform, or PixelMap
-        Grid px → source px: one for all bands, or one for each, as `Registration.transforms` has them. Where the same maps are used again, for
-        tiles, `levkas.geometry.pixel_maps.lay` them once.
+        Grid px → source px: one for all bands, or one for each, as `Registration.transforms` has them. For tiles
+        `levkas.geometry.pixel_maps.lay` them once.
     shape : (height, width) of the grid, px
-    flags : ndarray like `source`, uint8, optional
-        Bits of `levkas.Flag`.
-    variance : ndarray like `source`, float32, optional
-        In the unit of `source` squared.
     rows : (start, stop), optional
         Grid rows wanted; default all.
     held : (first row, height), optional
@@ -91,30 +79,26 @@ def warp(
     Returns
     -------
     warped : Warped
-        `values`, `flags` and `variance` of rows `start` to `stop`, (rows, width) or (rows, width, bands);
-        the same bytes for any rows and threads. NaN, flagged OUTSIDE, where there is nothing.
+        Of rows `start` to `stop`, without bands of a picture; the same bytes for any rows and threads. NaN, flagged
+        OUTSIDE, where there is nothing.
 
     Raises
     ------
     ValueError
-        Where sizes or types do not fit (float64 is refused: `source.astype(np.float32)`), or rows of the source are wanted that are not held.
+        Where sizes or types do not fit (float64 is refused: `source.astype(np.float32)`), or rows of the source are
+        wanted that are not held.
 
     Notes
     -----
-    Cubic convolution, a = −0.5, over 4 x 4 pixels ([keys1981]_, doi:10.1109/TASSP.1981.1163711).
+    Cubic convolution, a = −0.5, over 4 x 4 pixels ([keys1981]_, doi:10.1109/TASSP.1981.1163711). A pixel of the
+    source covers half a pixel around its centre; what falls outside −0.5 … w − 0.5 is OUTSIDE. Taps that the edge
+    cuts off are left out, and the others weighted so that a ramp is still met exactly. Where the grid is coarser than
+    the source, the kernel is widened by the length of a grid step in source pixels, along x and y apart; by all of it
+    from 1.5 px on, not at all below 1.1 px.
 
-    Footprint: a pixel of the source covers half a pixel around its centre; what falls outside
-    −0.5 … w − 0.5 is OUTSIDE and NaN. Taps that the edge of the image cuts off are left out, and
-    the others weighted so that a ramp is still met exactly.
-
-    Where the grid is coarser than the source, the kernel is widened by the length of a grid step in
-    source pixels, along x and y apart (exact where the axes are parallel, wide enough elsewhere); by
-    all of it from 1.5 px on, not at all below 1.1 px. A ramp is met exactly at any scale.
-
-    Flags: the pixel that the place lies on hands its flags on; another one that weighs at least
-    1/32 of the heaviest hands on its own and NEAR. A pixel that is not there (not finite, OUTSIDE)
-    is left out: what lies on it is OUTSIDE and NaN; what only touches it is interpolated
-    linearly from those that are there, and NEAR. Variances add with the squared weights; what
+    The pixel that the place lies on hands its flags on; another one that weighs at least 1/32 of the heaviest hands
+    on its own and NEAR. What lies on a pixel that is not there (not finite, OUTSIDE) is OUTSIDE; what only touches it
+    is interpolated linearly from those that are there, and NEAR. Variances add with the squared weights; what
     neighbours have in common by the interpolation is not kept.
 
     Examples
@@ -127,67 +111,43 @@ def warp(
     """
     if isinstance(source, np.ma.MaskedArray):
         raise ValueError("a masked source; give source.filled(np.nan), float32")
-    source, shape = np.asarray(source), _checked_shape(shape)
+    if len(shape) != 2 or min(shape) < 1:
+        raise ValueError(f"a grid of shape {shape}; (height, width) above 0 is wanted")
+    source, shape = np.asarray(source), (int(shape[0]), int(shape[1]))
+    top, height = _check(source, flags, variance, held)
     flat = source.ndim == 2
-    held_from = _check(source, flags, variance, held)
-    values: Any = _cube(source)
-    marks, noise = _cube(flags), _cube(variance)
-    bands = 1 if flat else source.shape[2]
-    maps = _checked_maps(transforms, bands)
+    frame = _Frame(_cube(source), _cube(flags), _cube(variance), top, height)
+    bands = frame.values.shape[2]
+    maps = _checked_maps(transforms, bands, shape)
     start, stop = _checked_rows(rows, shape[0])
     warped = _result((stop - start, shape[1], bands), variance is not None, out)
-    shared = [a for a in (source, flags, variance) if a is not None]
     for target in (warped.values, warped.flags, warped.variance):
-        if target is not None and any(np.may_share_memory(target, a) for a in shared):
+        read = [a for a in (source, flags, variance) if a is not None and target is not None]
+        if any(np.may_share_memory(target, a) for a in read):  # type: ignore[arg-type]
             raise ValueError("`out` is in the memory of what is read")
-    frame, lattices = _Frame(values, marks, noise, *held_from), _lattices(maps, shape)
-    if _is_shared(maps):
+    lattices = iter(maps.lattices) if isinstance(maps, PixelMap) else lay_bands(maps, shape)
+    if _is_one(maps):
         absent = _resample(next(lattices), shape, (start, stop), frame, warped)
     else:
         absent = _resample_planes(lattices, shape, (start, stop), frame, warped)
     if absent:
         raise ValueError(
-            f"rows {start} to {stop} of the grid need more than the source rows held, {held_from[0]} "
-            f"to {held_from[0] + len(source)}; see `source_rows`"
+            f"rows {start} to {stop} of the grid need more than the source rows held, {top} "
+            f"to {top + len(source)}; see `source_rows`"
         )
-    return _squeezed(warped) if flat and out is None else warped
-
-
-def _lattices(transforms: Maps, shape: tuple[int, int]) -> Iterator[Lattice]:
-    if isinstance(transforms, PixelMap):
-        if transforms.shape != shape:
-            raise ValueError(f"the maps were laid on a grid of {transforms.shape}, not {shape}")
-        yield from transforms.lattices
-    else:
-        yield from lay_bands(transforms, shape)
-
-
-def _is_shared(maps: Maps) -> bool:
-    """Return whether all bands have one map."""
-    if isinstance(maps, PixelMap):
-        return len(maps.lattices) == 1
-    return not isinstance(maps, Sequence) or all(one is maps[0] for one in maps)
+    if not flat or out is not None:
+        return warped
+    noise = None if warped.variance is None else warped.variance[..., 0]
+    return Warped(warped.values[..., 0], warped.flags[..., 0], noise)
 
 
 def source_rows(
     transforms: Maps, shape: tuple[int, int], rows: tuple[int, int], height: int
 ) -> tuple[int, int]:
-    """Return the source rows, first and one past the last, that grid rows are interpolated from.
+    """Return the rows of a source `height` high, first and one past the last, that grid rows are interpolated from.
 
-    Parameters
-    ----------
-    transforms, shape, rows
-        As for `warp`.
-    height : int
-        Of the whole source.
+    (0, 0) where they see nothing of the source; then any part of it will do.
 
-    Returns
-    -------
-    first, stop : int
-        (0, 0) where the rows see nothing of the source; then any part of it will do.
-
-    Examples
-    --------
     >>> from levkas.geometry.transforms import Affine
     >>> source_rows(Affine.scaling(2.0), (500, 500), (100, 110), 1000)
     (195, 225)
@@ -203,11 +163,23 @@ def source_rows(
     return (min(f[0] for f in found), max(f[1] for f in found)) if found else (0, 0)
 
 
-def _checked_maps(transforms: Maps | Mapping[str, Transform], bands: int) -> Maps:
+# --- what is given, checked -------------------------------------------------------------------
+
+
+def _is_one(maps: Any) -> bool:
+    """Return whether all bands have one map."""
+    if isinstance(maps, PixelMap):
+        return len(maps.lattices) == 1
+    return not isinstance(maps, Sequence) or all(one is maps[0] for one in maps)
+
+
+def _checked_maps(transforms: Any, bands: int, shape: tuple[int, int]) -> Maps:
     """Return the map of all bands, or a list with one for each; those of a mapping in its order."""
-    maps: Any = list(transforms.values()) if isinstance(transforms, Mapping) else transforms
+    maps = list(transforms.values()) if isinstance(transforms, Mapping) else transforms
     if isinstance(maps, PixelMap):
         given = maps.bands
+        if maps.shape != shape:
+            raise ValueError(f"the maps were laid on a grid of {maps.shape}, not {shape}")
     else:
         given = len(maps) if isinstance(maps, Sequence) else None
         for one in [maps] if given is None else maps:
@@ -215,14 +187,7 @@ def _checked_maps(transforms: Maps | Mapping[str, Transform], bands: int) -> Map
                 raise ValueError(f"a transform is not a map of points: {type(one).__name__}")
     if given not in (None, bands):
         raise ValueError(f"{given} transforms for a source of {bands} bands")
-    found: Maps = maps
-    return found
-
-
-def _checked_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    if len(shape) != 2 or min(shape) < 1:
-        raise ValueError(f"a grid of shape {shape}; (height, width) above 0 is wanted")
-    return int(shape[0]), int(shape[1])
+    return maps  # type: ignore[no-any-return]
 
 
 def _checked_rows(rows: tuple[int, int] | None, height: int) -> tuple[int, int]:
@@ -242,9 +207,7 @@ def _check(
     if source.ndim not in (2, 3) or 0 in source.shape:
         raise ValueError(f"source of shape {source.shape}; (h, w) or (h, w, bands) is wanted")
     if source.dtype not in (np.float32, np.uint16, np.uint8):
-        raise ValueError(
-            f"source of {source.dtype}; float32, uint16 or uint8 is wanted: source.astype(np.float32)"
-        )
+        raise ValueError(f"source of {source.dtype}: give float32, uint16 or uint8")
     for name, twin in (("flags", flags), ("variance", variance)):
         if twin is not None and twin.shape != source.shape:
             raise ValueError(f"{name} of shape {twin.shape} for a source of {source.shape}")
@@ -252,13 +215,11 @@ def _check(
         raise ValueError(f"flags of {flags.dtype}; uint8 is wanted")
     top, height = (0, len(source)) if held is None else held
     if not 0 <= top <= height - len(source):
-        raise ValueError(
-            f"{len(source)} rows from {top} on do not fit in an image of {height} rows"
-        )
+        raise ValueError(f"{len(source)} rows from {top} on do not fit in {height} rows")
     return top, height
 
 
-def _cube(array: np.ndarray | None) -> np.ndarray | None:
+def _cube(array: np.ndarray | None) -> Any:
     if array is None:
         return None
     return np.ascontiguousarray(array[..., None] if array.ndim == 2 else array)
@@ -280,9 +241,7 @@ def _result(shape: tuple[int, int, int], noisy: bool, out: Warped | None) -> War
     return out
 
 
-def _squeezed(warped: Warped) -> Warped:
-    variance = None if warped.variance is None else warped.variance[..., 0]
-    return Warped(warped.values[..., 0], warped.flags[..., 0], variance)
+# --- the work ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,46 +269,41 @@ def _resample_planes(
     absent, bands = 0, frame.values.shape[2]
     for first in range(0, bands, PLANES):
         some = slice(first, min(first + PLANES, bands))
-        values, flags, variance = (
-            None if cube is None else _planes(cube[..., some])
-            for cube in (frame.values, frame.flags, frame.variance)
+        cubes = (frame.values, frame.flags, frame.variance)
+        given = [None if cube is None else _planes(cube[..., some]) for cube in cubes]
+        part = _result(
+            (some.stop - first, *warped.values.shape[:2]), frame.variance is not None, None
         )
-        part = _result((some.stop - first, *warped.values.shape[:2]), variance is not None, None)
+        made = [part.values, part.flags, part.variance]
         for k in range(some.stop - first):
-            plane = partial(_plane, band=k)
-            one = _Frame(plane(values), plane(flags), plane(variance), frame.top, frame.height)
-            out = Warped(plane(part.values), plane(part.flags), plane(part.variance))
-            absent += _resample(next(lattices), shape, rows, one, out)
-        for name in ("values", "flags", "variance"):
-            if getattr(part, name) is not None:
-                _interleave(getattr(part, name), getattr(warped, name)[..., some])
+            source, target = (
+                [None if planes is None else planes[k][..., None] for planes in three]
+                for three in (given, made)
+            )
+            one = _Frame(*source, frame.top, frame.height)  # type: ignore[arg-type]
+            absent += _resample(next(lattices), shape, rows, one, Warped(*target))  # type: ignore[arg-type]
+        for planes, cube in zip(made, (warped.values, warped.flags, warped.variance), strict=True):
+            if planes is not None and cube is not None:
+                _turn_over(planes, cube[..., some], back=True)
     return absent
-
-
-def _plane(planes: Any, band: int) -> Any:
-    return None if planes is None else planes[band][..., None]
 
 
 def _planes(cube: np.ndarray) -> np.ndarray:
     """Return a cube's bands as planes, (bands, rows, width)."""
-    rows, width, bands = cube.shape
-    planes = np.empty((bands, rows, width), cube.dtype)
-
-    def turn(start: int, stop: int) -> None:
-        transpose(cube[start:stop].reshape(-1, bands), planes[:, start:stop].reshape(bands, -1))
-
-    in_threads(turn, rows, worth=cube.size)
+    planes = np.empty((cube.shape[2], *cube.shape[:2]), cube.dtype)
+    _turn_over(planes, cube, back=False)
     return planes
 
 
-def _interleave(planes: np.ndarray, cube: np.ndarray) -> None:
-    """Write planes, (bands, rows, width), to the bands of a cube."""
-    bands, rows, _ = planes.shape
+def _turn_over(planes: np.ndarray, cube: np.ndarray, *, back: bool) -> None:
+    """Write the bands of a cube to planes, (bands, rows, width), or `back`."""
+    bands = len(planes)
 
     def turn(start: int, stop: int) -> None:
-        transpose(planes[:, start:stop].reshape(bands, -1), cube[start:stop].reshape(-1, bands))
+        pair = cube[start:stop].reshape(-1, bands), planes[:, start:stop].reshape(bands, -1)
+        transpose(*(pair[::-1] if back else pair))
 
-    in_threads(turn, rows, worth=cube.size)
+    in_threads(turn, len(cube), worth=cube.size)
 
 
 def _resample(

@@ -1,9 +1,8 @@
 """Compiled loops of resampling: Keys's cubic convolution, bands innermost.
 
-A pixel of the grid is interpolated from a box of source pixels, the *taps*. The box and its weights are
-computed once and the loop over bands is innermost. Weights are float64, sums float32 (float64 where
-the kernel is widened) in one order and without fastmath, so that a value depends
-on nothing but its taps. Flags and pixels that are not there take the slow path, `_gather`.
+A pixel of the grid is interpolated from a box of source pixels, the *taps*, whose weights are computed once for all
+bands. Weights are float64, sums float32 (float64 where the kernel is widened) in one order and without fastmath, so
+that a value depends on nothing but its taps. Flags and pixels that are not there take the slow path, `_with_care`.
 
 Source: R. G. Keys, "Cubic convolution interpolation for digital image processing" (1981),
 doi:10.1109/TASSP.1981.1163711, a = −1/2.
@@ -32,8 +31,8 @@ SNAP = 2.0**20
 class SourceFrame(NamedTuple):
     """Arrays of the source, (rows, width, bands); `variance` and `flags` may be empty.
 
-    `suspect`, (rows, width): flags that any band of a pixel has. The first row held is row `top` of
-    an image of `height` rows.
+    `suspect`, (rows, width): flags that any band of a pixel has. The first row held is row `top` of an image of
+    `height` rows.
     """
 
     values: Any
@@ -56,11 +55,10 @@ class Result(NamedTuple):
 class Nodes(NamedTuple):
     """Where grid pixels fall in the source: cubics along segments of rows.
 
-    `table` is (rows, segments, 8 or 10): coefficients of 1, t, t², t³ of x, then of y, t in px
-    from the segment's start; then, where kernels are widened, how many times along x and y. Its first
-    and last row belong to the first and last row of the grid of (`height`, `width`) px. With `exact`
-    there is a row and a segment for each pixel, rows from `first` on. Kernels are never widened more
-    than `widest` times.
+    `table` is (rows, segments, 8 or 10): coefficients of 1, t, t², t³ of x, then of y, t in px from the segment's
+    start; then, where kernels are widened, how many times along x and y, never more than `widest`. Its first and last
+    row belong to those of the grid of (`height`, `width`) px. With `exact` there is a row and a segment for each
+    pixel, rows from `first` on.
     """
 
     table: Any
@@ -81,6 +79,9 @@ def find_suspects(start, stop, flags, suspect):
             for b in range(flags.shape[2]):
                 found |= flags[y, x, b]
             suspect[y, x] = found
+
+
+# --- places and weights -----------------------------------------------------------------------
 
 
 @njit
@@ -112,21 +113,6 @@ def _follow(part, t):
     return np.floor(x * SNAP + 0.5) / SNAP, np.floor(y * SNAP + 0.5) / SNAP
 
 
-@njit
-def _widths(part, widest):
-    """Return how many times the kernel is widened along x and y."""
-    if len(part) == 8:
-        return 1.0, 1.0
-    return min(max(1.0, part[8]), widest), min(max(1.0, part[9]), widest)
-
-
-@njit(forceinline=True)
-def _inside(x, y, source):
-    """Return whether a place is on the area of a pixel of the source."""
-    width = source.values.shape[1]
-    return -0.5 <= x <= width - 0.5 and -0.5 <= y <= source.height - 0.5
-
-
 @njit(forceinline=True)
 def _keys(d):
     """Keys's cubic, a = -0.5, at distance `d` in taps."""
@@ -149,18 +135,11 @@ def _cubic(t):
 
 
 @njit(forceinline=True)
-def _reach(place, scale, size):
-    """Return the first tap on an axis and one past the last; those beyond the image are left out."""
-    first = max(floor(place - 2.0 * scale) + 1, 0)
-    return first, min(floor(place + 2.0 * scale), size - 1) + 1
-
-
-@njit(forceinline=True)
 def _weigh(place, scale, first, count, u):
     """Write the weights of the taps of one axis to `u`; the kernel is `scale` times as wide.
 
-    They are brought to sum 1, and to a centre of weight at the place by a slope under a tent: exact
-    on a ramp, also where the edge of the image cuts taps off.
+    They are brought to sum 1, and to a centre of weight at the place by a slope under a tent: exact on a ramp, also
+    where the edge of the image cuts taps off.
     """
     total = moment = tents = lean = square = 0.0
     narrow = 1.0 / scale
@@ -184,156 +163,22 @@ def _weigh(place, scale, first, count, u):
 
 @njit(forceinline=True)
 def _axis(place, scale, size, u):
-    """Write the weights of one place on one axis; return the first tap and how many there are."""
-    first, stop = _reach(place, scale, size)
-    if scale == 1.0 and stop - first == 4:
+    """Write the weights of one place on one axis; return the first tap in the image and how many there are."""
+    first = max(floor(place - 2.0 * scale) + 1, 0)
+    count = min(floor(place + 2.0 * scale), size - 1) + 1 - first
+    if scale == 1.0 and count == 4:
         u[0], u[1], u[2], u[3] = _cubic(place - first - 1.0)
     else:
-        _weigh(place, scale, first, stop - first, u)
-    return first, stop - first
+        _weigh(place, scale, first, count, u)
+    return first, count
 
 
-@njit
-def _largest(u, count):
-    """Return the largest size of `count` weights."""
-    largest = 0.0
-    for i in range(count):
-        largest = max(largest, abs(u[i]))
-    return largest
-
-
-@njit(forceinline=True)
-def _any_suspect(suspect, x, columns, y, rows):
-    """Return the flags that pixels of a box have in any band."""
-    found = np.uint8(0)
-    for r in range(y, y + rows):
-        for c in range(x, x + columns):
-            found |= suspect[r, c]
-    return found
-
-
-@njit
-def _nearest(x, y, source):
-    """Return the column and the row, as held, of the pixel that a place lies on."""
-    column = min(max(floor(x + 0.5), 0), source.values.shape[1] - 1)
-    return column, min(max(floor(y + 0.5), 0), source.height - 1) - source.top
-
-
-@njit
-def _inner(source):
-    """Return the columns and rows about which 4 x 4 taps are there: first, one past the last, twice."""
-    held, width = source.values.shape[:2]
-    return 1, width - 2, max(1, 1 - source.top), min(held, source.height - source.top) - 2
-
-
-@njit(forceinline=True)
-def _is_inner(x, y, inner):
-    return inner[0] <= x < inner[1] and inner[2] <= y < inner[3]
+# --- sums of taps -----------------------------------------------------------------------------
 
 
 @njit(forceinline=True)
 def _squares(u):
     return u[0] * u[0], u[1] * u[1], u[2] * u[2], u[3] * u[3]
-
-
-@njit
-def _scratch(widest, bands):
-    """Return room for the weights of the taps on both axes, and for the sums of bands."""
-    taps = 8 + int(6 * widest)
-    return np.empty(taps), np.empty(taps), np.empty(bands)
-
-
-@njit
-def _leave_out(result, row, x, b, flag):
-    """Write that there is nothing."""
-    result.values[row, x, b] = np.nan
-    result.flags[row, x, b] = flag
-    if result.variance.size:
-        result.variance[row, x, b] = np.nan
-
-
-@njit
-def _gather(source, result, at, spot, b, always, weights):
-    """Resample one band of one pixel with care: edges, flags, pixels that are not there.
-
-    `at`: place x, y and how many times the kernel is widened along either; `spot`: row and column of
-    the result. Where all taps are there only flags are written unless `always`. Returns 1 where a tap
-    is in a row that is not held.
-    """
-    (px, py, wide_x, wide_y), (row, x), (u, v) = at, spot, weights[:2]
-    if not _inside(px, py, source):
-        _leave_out(result, row, x, b, OUTSIDE)
-        return 0
-    x0, columns = _axis(px, wide_x, source.values.shape[1], u)
-    y0, rows = _axis(py, wide_y, source.height, v)
-    y0 -= source.top
-    if y0 < 0 or y0 + rows > source.values.shape[0]:
-        return 1
-    near, least = _nearest(px, py, source), LIGHTEST * _largest(u, columns) * _largest(v, rows)
-    value = spread = 0.0
-    own = others = np.uint8(0)
-    lacking = False
-    for r in range(rows):
-        for k in range(columns):
-            weight, tap = v[r] * u[k], float(source.values[y0 + r, x0 + k, b])
-            flag = source.flags[y0 + r, x0 + k, b] if source.flags.size else np.uint8(0)
-            missing = not np.isfinite(tap) or flag & OUTSIDE
-            if (x0 + k, y0 + r) == near:
-                own = flag
-                if missing:
-                    _leave_out(result, row, x, b, np.uint8(own | OUTSIDE))
-                    return 0
-            elif (flag or missing) and abs(weight) >= least:
-                others |= (flag & ~OUTSIDE) | NEAR
-            if missing:
-                lacking |= weight != 0.0
-            else:
-                value += weight * tap
-                if source.variance.size:
-                    spread += weight * weight * source.variance[y0 + r, x0 + k, b]
-    result.flags[row, x, b] = own | others
-    if lacking:
-        result.flags[row, x, b] |= NEAR
-        value, spread = _linear(source, (x0, columns, y0, rows), at, b)
-    if always or lacking:
-        result.values[row, x, b] = value
-        if result.variance.size:
-            result.variance[row, x, b] = spread
-    return 0
-
-
-@njit
-def _linear(source, box, at, b):
-    """Return value and variance by linear interpolation from the taps that are there."""
-    (x0, columns, y0, rows), (px, py, wide_x, wide_y) = box, at
-    value = spread = total = 0.0
-    for r in range(y0, y0 + rows):
-        for k in range(x0, x0 + columns):
-            tap = float(source.values[r, k, b])
-            if not np.isfinite(tap) or (source.flags.size and source.flags[r, k, b] & OUTSIDE):
-                continue
-            tent = max(0.0, 1.0 - abs(k - px) / wide_x)
-            tent *= max(0.0, 1.0 - abs(r + source.top - py) / wide_y)
-            total += tent
-            value += tent * tap
-            if source.variance.size:
-                spread += tent * tent * source.variance[r, k, b]
-    return value / total, spread / (total * total)
-
-
-@njit
-def _pass_flags(flags, out, box, near, spot, weights):
-    """Hand on the flags of all bands of a pixel, as `_gather` does where no tap is OUTSIDE."""
-    (x0, columns, y0, rows), (row, x), (u, v) = box, spot, weights[:2]
-    least = LIGHTEST * _largest(u, columns) * _largest(v, rows)
-    for r in range(rows):
-        for k in range(columns):
-            if abs(v[r] * u[k]) >= least and (x0 + k, y0 + r) != near:
-                for b in range(flags.shape[2]):
-                    out[row, x, b] |= flags[y0 + r, x0 + k, b]
-    for b in range(flags.shape[2]):
-        mark = out[row, x, b]
-        out[row, x, b] = mark | flags[near[1], near[0], b] | (NEAR if mark else np.uint8(0))
 
 
 @njit(forceinline=True)
@@ -378,29 +223,122 @@ def _sum_box(plane, box, weights, squared, out, spot):
         out[row, x, b] = sums[b]
 
 
-@njit
-def _leave_out_all(result, spot):
-    """Write that there is nothing in any band of a pixel."""
-    for b in range(result.values.shape[2]):
-        _leave_out(result, spot[0], spot[1], b, OUTSIDE)
+# --- flags, and pixels that are not there -----------------------------------------------------
+
+
+@njit(forceinline=True)
+def _any_suspect(suspect, box):
+    """Return the flags that pixels of a box have in any band."""
+    left, columns, top, rows = box
+    found = np.uint8(0)
+    for r in range(top, top + rows):
+        for c in range(left, left + columns):
+            found |= suspect[r, c]
+    return found
 
 
 @njit
-def _mark_pixel(source, result, at, spot, weights):
-    """Hand flags on to all bands of a pixel, and do those with care that lack a tap; values are there."""
-    x0, columns = _axis(at[0], at[2], source.values.shape[1], weights[0])
-    y0, rows = _axis(at[1], at[3], source.height, weights[1])
-    y0 -= source.top
-    suspect = np.uint8(0)
-    if source.suspect.size:
-        suspect = _any_suspect(source.suspect, x0, columns, y0, rows)
-        if suspect and not suspect & OUTSIDE:
-            box, near = (x0, columns, y0, rows), _nearest(at[0], at[1], source)
-            _pass_flags(source.flags, result.flags, box, near, spot, weights)
+def _leave_out(result, row, x, b, flag):
+    """Write that there is nothing."""
+    result.values[row, x, b] = np.nan
+    result.flags[row, x, b] = flag
+    if result.variance.size:
+        result.variance[row, x, b] = np.nan
+
+
+@njit
+def _tap(source, r, k, b):
+    """Return value and flag of a tap, and whether it is not there."""
+    value = float(source.values[r, k, b])
+    flag = source.flags[r, k, b] if source.flags.size else np.uint8(0)
+    return value, flag, not np.isfinite(value) or flag & OUTSIDE != 0
+
+
+@njit
+def _pass_flags(flags, out, box, near, least, spot, weights):
+    """Hand on the flags of all bands of a pixel, where no tap is OUTSIDE."""
+    (x0, columns, y0, rows), (row, x), (u, v) = box, spot, weights[:2]
+    for r in range(rows):
+        for k in range(columns):
+            if abs(v[r] * u[k]) >= least and (x0 + k, y0 + r) != near:
+                for b in range(flags.shape[2]):
+                    out[row, x, b] |= flags[y0 + r, x0 + k, b]
+    for b in range(flags.shape[2]):
+        mark = out[row, x, b]
+        out[row, x, b] = mark | flags[near[1], near[0], b] | (NEAR if mark else np.uint8(0))
+
+
+@njit
+def _gather(source, result, box, near, least, at, spot, weights):
+    """Resample a band, the last of `spot`, linearly where it lacks a tap; else its sum stays, if it is finite."""
+    (x0, columns, y0, rows), (row, x, b), (u, v) = box, spot, weights[:2]
+    _, own, gone = _tap(source, near[1], near[0], b)
+    if gone:
+        _leave_out(result, row, x, b, np.uint8(own | OUTSIDE))
+        return
+    value = spread = 0.0
+    others, lacking = np.uint8(0), False
+    for r in range(rows):
+        for k in range(columns):
+            weight = v[r] * u[k]
+            tap, flag, missing = _tap(source, y0 + r, x0 + k, b)
+            heavy = abs(weight) >= least and (x0 + k, y0 + r) != near
+            if heavy and (flag or missing):
+                others |= (flag & ~OUTSIDE) | NEAR
+            if missing:
+                lacking |= weight != 0.0
+                continue
+            value += weight * tap
+            if source.variance.size:
+                spread += weight * weight * source.variance[y0 + r, x0 + k, b]
+    result.flags[row, x, b] = own | others
+    if lacking:
+        result.flags[row, x, b] |= NEAR
+        value, spread = _linear(source, box, at, b)
+    if lacking or not np.isfinite(result.values[row, x, b]):
+        result.values[row, x, b] = value
+        if result.variance.size:
+            result.variance[row, x, b] = spread
+
+
+@njit
+def _with_care(source, result, at, spot, weights, suspect):
+    """Hand flags on to all bands of a pixel, and do those with care that lack a tap; the sums of all taps are there.
+
+    `at`: place x, y and how many times the kernel is widened along either; `spot`: row and column of the result;
+    `suspect`: flags that the taps have in any band.
+    """
+    (px, py, wide_x, wide_y), (row, x), (u, v) = at, spot, weights[:2]
+    x0, columns = _axis(px, wide_x, source.values.shape[1], u)
+    y0, rows = _axis(py, wide_y, source.height, v)
+    box = x0, columns, y0 - source.top, rows
+    column = min(max(floor(px + 0.5), 0), source.values.shape[1] - 1)
+    near = column, min(max(floor(py + 0.5), 0), source.height - 1) - source.top
+    least = LIGHTEST * np.abs(u[:columns]).max() * np.abs(v[:rows]).max()
+    if suspect and not suspect & OUTSIDE:
+        _pass_flags(source.flags, result.flags, box, near, least, spot, weights)
     for b in range(source.values.shape[2]):
-        not_finite = not np.isfinite(result.values[spot[0], spot[1], b])
-        if not_finite or suspect & OUTSIDE:
-            _gather(source, result, at, spot, b, not_finite, weights)
+        if suspect & OUTSIDE or not np.isfinite(result.values[row, x, b]):
+            _gather(source, result, box, near, least, at, (row, x, b), weights)
+
+
+@njit
+def _linear(source, box, at, b):
+    """Return value and variance by linear interpolation from the taps that are there."""
+    (x0, columns, y0, rows), (px, py, wide_x, wide_y) = box, at
+    value = spread = total = 0.0
+    for r in range(y0, y0 + rows):
+        for k in range(x0, x0 + columns):
+            tap, _, missing = _tap(source, r, k, b)
+            if missing:
+                continue
+            tent = max(0.0, 1.0 - abs(k - px) / wide_x)
+            tent *= max(0.0, 1.0 - abs(r + source.top - py) / wide_y)
+            total += tent
+            value += tent * tap
+            if source.variance.size:
+                spread += tent * tent * source.variance[r, k, b]
+    return value / total, spread / (total * total)
 
 
 @njit(cache=True)
@@ -410,46 +348,47 @@ def resample_rows(start, stop, nodes, source, result):
     Returns how many pixels need a source row that is not held.
     """
     values, variance, out, noise = source.values, source.variance, result.values, result.variance
-    suspect, top, inner = source.suspect, source.top, _inner(source)
-    u, v, sums = _scratch(nodes.widest, values.shape[2])
-    part, absent = np.empty(nodes.table.shape[2]), 0
+    suspect, top, (held, width) = source.suspect, source.top, values.shape[:2]
+    taps, part, absent = 8 + int(6 * nodes.widest), np.empty(nodes.table.shape[2]), 0
+    u, v, sums = np.empty(taps), np.empty(taps), np.empty(values.shape[2])
+    high, low = max(1, 1 - top), min(held, source.height - top) - 2
+    wide_x = wide_y = 1.0
     # Segment by segment from top to bottom: what the rows share of the source stays in the cache.
     for x0 in range(0, nodes.width, nodes.segment):
         for y in range(start, stop):
             _mix(nodes, y, x0 // nodes.segment, part)
-            wide_x, wide_y = _widths(part, nodes.widest)
-            row = y - result.first
+            if len(part) > 8:
+                wide_x = min(max(1.0, part[8]), nodes.widest)
+                wide_y = min(max(1.0, part[9]), nodes.widest)
             for x in range(x0, min(x0 + nodes.segment, nodes.width)):
                 px, py = _follow(part, float(x - x0))
-                fx, fy, marks = int(px), int(py) - top, np.uint8(0)
-                if wide_x == wide_y == 1.0 and _is_inner(fx, fy, inner):
+                spot, fx, fy = (y - result.first, x), int(px), int(py) - top
+                if wide_x == wide_y == 1.0 and 1 <= fx < width - 2 and high <= fy < low:
                     across, down = _cubic(px - fx), _cubic(py - top - fy)
-                    _sum_cubic(values, fx, fy, (*across, *down), out, (row, x))
+                    box = fx - 1, 4, fy - 1, 4
+                    _sum_cubic(values, fx, fy, (*across, *down), out, spot)
                     if noise.size:
                         squares = (*_squares(across), *_squares(down))
-                        _sum_cubic(variance, fx, fy, squares, noise, (row, x))
-                    if suspect.size:
-                        marks = _any_suspect(suspect, fx - 1, 4, fy - 1, 4)
-                elif _inside(px, py, source):
-                    left, columns = _axis(px, wide_x, values.shape[1], u)
-                    high, rows = _axis(py, wide_y, source.height, v)
-                    high -= top
-                    if high < 0 or high + rows > values.shape[0]:
+                        _sum_cubic(variance, fx, fy, squares, noise, spot)
+                elif -0.5 <= px <= width - 0.5 and -0.5 <= py <= source.height - 0.5:
+                    left, columns = _axis(px, wide_x, width, u)
+                    first, rows = _axis(py, wide_y, source.height, v)
+                    box = left, columns, first - top, rows
+                    if box[2] < 0 or box[2] + rows > held:
                         absent += 1
                         continue
-                    box = left, columns, high, rows
-                    _sum_box(values, box, (u, v, sums), False, out, (row, x))
+                    _sum_box(values, box, (u, v, sums), False, out, spot)
                     if noise.size:
-                        _sum_box(variance, box, (u, v, sums), True, noise, (row, x))
-                    if suspect.size:
-                        marks = _any_suspect(suspect, *box)
+                        _sum_box(variance, box, (u, v, sums), True, noise, spot)
                 else:
-                    _leave_out_all(result, (row, x))
+                    for b in range(values.shape[2]):
+                        _leave_out(result, spot[0], x, b, OUTSIDE)
                     continue
+                marks = _any_suspect(suspect, box) if suspect.size else np.uint8(0)
                 care = marks != 0
                 for b in range(values.shape[2]):
-                    care |= out[row, x, b] - out[row, x, b] != 0
+                    care |= out[spot[0], x, b] - out[spot[0], x, b] != 0
                 if care:
                     at = px, py, wide_x, wide_y
-                    _mark_pixel(source, result, at, (row, x), (u, v, sums))
+                    _with_care(source, result, at, spot, (u, v, sums), marks)
     return absent

@@ -1,12 +1,12 @@
 """Maps between pixel frames: values that can be called, inverted, differentiated and stored.
 
-Points are (n, 2) float64 arrays of (x, y), pixel centres at integers. A registration's transform
-maps reference pixels to native pixels of a band, the direction in which a resampling pulls.
+Points are (n, 2) float64 arrays of (x, y), pixel centres at integers; a jacobian is d(x′, y′)/d(x, y), (n, 2, 2).
+A registration's transform maps reference pixels to native pixels of a band, the direction in which a resampling pulls.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -26,17 +26,7 @@ class Transform(Protocol):
 
 
 def invert(transform: Transform, points: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Solve ``transform(p) = points`` by damped Newton from `start`.
-
-    Parameters
-    ----------
-    points, start : ndarray, (n, 2), px
-
-    Returns
-    -------
-    solution : ndarray, (n, 2)
-        To 1e-9 px; NaN where it does not converge (a fold, or outside what the map covers).
-    """
+    """Solve ``transform(p) = points`` by Newton from `start`, to 1e-9 px; NaN where it does not converge (a fold)."""
     p, goal = np.array(start, float), np.asarray(points, float)
     for _ in range(INVERSE_ROUNDS):
         miss = transform(p) - goal
@@ -53,8 +43,6 @@ def invert(transform: Transform, points: np.ndarray, start: np.ndarray) -> np.nd
 def solve_2x2(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solve n systems of two equations, (n, 2, 2) and (n, 2); infinite where one is singular.
 
-    Examples
-    --------
     >>> solve_2x2(np.array([[[2.0, 1.0], [0.0, 4.0]]]), np.array([[4.0, 8.0]])).tolist()
     [[1.0, 2.0]]
     """
@@ -64,14 +52,29 @@ def solve_2x2(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.stack([d * x - b * y, a * y - c * x], 1) / (a * d - b * c)[:, None]
 
 
-@dataclass(frozen=True, eq=False)
-class Affine:
-    """Affine map, ``p ↦ matrix[:, :2] p + matrix[:, 2]``, of points (x, y) in px.
+def stored(value: Any) -> Any:
+    """Return a number, array, map, or several of them as JSON has them."""
+    if isinstance(value, np.ndarray):
+        return np.asarray(value, float).tolist()
+    if isinstance(value, tuple | list):
+        return [stored(one) for one in value]
+    if isinstance(value, int | np.integer):
+        return int(value)
+    return value.to_dict() if isinstance(value, Transform) else float(value)
 
-    Parameters
-    ----------
-    matrix : ndarray, (2, 3)
-        Linear part, no unit, and shift, px.
+
+class _Stored:
+    """A map that is stored as its kind, the name of its class, and its fields."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record."""
+        values = {one.name: stored(getattr(self, one.name)) for one in fields(self)}  # type: ignore[arg-type]
+        return {"kind": type(self).__name__.lower(), **values}
+
+
+@dataclass(frozen=True, eq=False)
+class Affine(_Stored):
+    """Affine map, ``p ↦ matrix[:, :2] p + matrix[:, 2]``, of points (x, y) in px; `matrix` is (2, 3).
 
     Raises
     ------
@@ -101,8 +104,6 @@ class Affine:
     def of_box(cls, left: float, top: float, step: int = 1) -> Affine:
         """Return the map from px of a part of a picture to those of the whole, of which `step` a side make one.
 
-        Examples
-        --------
         >>> Affine.of_box(10, 20, 2)(np.zeros((1, 2)))
         array([[10.5, 20.5]])
         """
@@ -126,59 +127,35 @@ class Affine:
         return np.asarray(points, float) @ self.matrix[:, :2].T + self.matrix[:, 2]
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
-        """Map target points back, exactly."""
         return (np.asarray(points, float) - self.matrix[:, 2]) @ np.linalg.inv(self.matrix[:, :2]).T
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """Return d(x′, y′)/d(x, y), (n, 2, 2)."""
         return np.broadcast_to(self.matrix[:, :2], (len(points), 2, 2))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready record."""
-        return {"kind": "affine", "matrix": np.asarray(self.matrix, float).tolist()}
 
 
 @dataclass(frozen=True, eq=False)
-class Homography:
-    """Projective map of points (x, y) in px by a matrix: ``(x′, y′, 1) ∝ matrix (x, y, 1)``.
-
-    Parameters
-    ----------
-    matrix : ndarray, (3, 3)
-        Of homogeneous coordinates, px; any scale.
+class Homography(_Stored):
+    """Projective map of points (x, y) in px: ``(x′, y′, 1) ∝ matrix (x, y, 1)``; `matrix` is (3, 3), of any scale.
 
     Raises
     ------
     ValueError
-        By `fit` where the points determine none.
-    numpy.linalg.LinAlgError
-        By `inverse` where the matrix is singular.
-
-    Notes
-    -----
-    `fit` is the normalised direct linear transform ([hartley1997]_, doi:10.1109/34.601246).
+        By `fit` where the points determine none; LinAlgError by `inverse` where the matrix is singular.
 
     Examples
     --------
     >>> Homography(np.array([[1.0, 0, 0], [0, 1, 0], [0.1, 0, 1]]))(np.array([[10.0, 4]])).tolist()
     [[5.0, 2.0]]
+
+    `fit` is the normalised direct linear transform ([hartley1997]_, doi:10.1109/34.601246).
     """
 
     matrix: np.ndarray
 
     @classmethod
     def fit(cls, source: np.ndarray, target: np.ndarray) -> Homography:
-        """Return the map of `source` to `target`, both (n, 2), n >= 4, by the direct linear transform.
+        """Return the map of `source` to `target`, both (n, 2), n >= 4; raises ValueError where they determine none.
 
-        Coordinates are centred and scaled first ([hartley1997]_).
-
-        Raises
-        ------
-        ValueError
-            Where the points determine none.
-
-        Examples
-        --------
         >>> corners = np.array([[0.0, 0], [9, 0], [9, 9], [0, 9]])
         >>> Homography.fit(corners, 2 * corners + 1)(np.array([[4.0, 5.0]])).round(9).tolist()
         [[9.0, 11.0]]
@@ -205,28 +182,20 @@ class Homography:
         return _project(self.matrix, points)
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
-        """Map target points back, exactly."""
         return _project(np.linalg.inv(self.matrix), points)
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """Return d(x′, y′)/d(x, y), (n, 2, 2)."""
         lifted = np.asarray(points, float) @ self.matrix[:, :2].T + self.matrix[:, 2]
         flat, w = lifted[:, :2] / lifted[:, 2:], lifted[:, 2]
         change = self.matrix[None, :2, :2] - flat[:, :, None] * self.matrix[None, 2:, :2]
         return change / w[:, None, None]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready record."""
-        return {"kind": "homography", "matrix": np.asarray(self.matrix, float).tolist()}
-
 
 def _centred(points: np.ndarray) -> np.ndarray:
     """Return the similarity, (3, 3), that centres points and scales them to -1..1."""
-    centre = points.mean(0)
-    spread = max(float(np.abs(points - centre).max()), 1e-9)
-    return np.array(
-        [[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]]
-    )
+    x, y = points.mean(0)
+    spread = max(float(np.abs(points - (x, y)).max()), 1e-9)
+    return np.array([[1 / spread, 0, -x / spread], [0, 1 / spread, -y / spread], [0, 0, 1]])
 
 
 def _project(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -245,27 +214,16 @@ def exponents(order: int) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Polynomial:
+class Polynomial(_Stored):
     """Polynomial map in centred, scaled coordinates: u = (x − cx)/s, v = (y − cy)/s.
 
-    Parameters
-    ----------
-    order : int, >= 1
-        Total degree; the paper's is 3.
-    centre : ndarray, (2,), px
-    spread : float, px
-        Order 3 on raw pixels has a condition number of 1e11; on these it is below 100.
-    coefficients : ndarray, (terms, 2)
-        Rows as `exponents` orders them, columns x′ and y′ in px.
+    `order` is the total degree, `centre` (2,) and `spread` are px (order 3 on raw pixels has a condition number of
+    1e11, on these below 100), `coefficients` (terms, 2) px, rows as `exponents` orders them.
 
     Raises
     ------
     ValueError
         By `fit` with fewer points than terms.
-
-    Notes
-    -----
-    Section 3.5 of [mirhashemi2019]_, doi:10.3390/computation7030047, has order 3.
 
     Examples
     --------
@@ -273,6 +231,8 @@ class Polynomial:
     >>> t = Polynomial.fit(p, p**2, order=2)
     >>> np.allclose(t(np.array([[1.5, 2.5]])), [[2.25, 6.25]])
     True
+
+    Section 3.5 of [mirhashemi2019]_, doi:10.3390/computation7030047, has order 3.
     """
 
     order: int
@@ -290,36 +250,27 @@ class Polynomial:
         weights: np.ndarray | None = None,
         frame: tuple[np.ndarray, float] | None = None,
     ) -> Polynomial:
-        """Fit `source` to `target`, both (n, 2), by least squares through QR.
+        """Fit `source` to `target`, both (n, 2), by least squares.
 
         `frame` fixes (centre, spread), so that fits on subsets share their coordinates.
-        Raises ValueError with fewer points than terms.
         """
-        terms = (order + 1) * (order + 2) // 2
+        terms = len(exponents(order))
         if len(source) < terms:
             raise ValueError(
                 f"order-{order} polynomial needs at least {terms} matches, got {len(source)}"
             )
         centre, spread = frame or frame_of(source)
         design = design_matrix(source, order, centre, spread)
-        w = np.ones(len(source)) if weights is None else np.sqrt(weights)
-        solved = np.linalg.lstsq(design * w[:, None], np.asarray(target) * w[:, None], rcond=None)[
-            0
-        ]
+        w = (np.ones(len(source)) if weights is None else np.sqrt(weights))[:, None]
+        solved = np.linalg.lstsq(design * w, np.asarray(target) * w, rcond=None)[0]
         return cls(order, np.asarray(centre, float), float(spread), solved)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        from levkas.geometry.pixel_maps_kernel import polynomial
-
-        return np.asarray(
-            polynomial(
-                np.ascontiguousarray(points, float),
-                self.order,
-                np.asarray(self.centre, float),
-                float(self.spread),
-                np.ascontiguousarray(self.coefficients, float),
-            )
-        )
+        us, vs = self._powers(points)
+        out = np.zeros((2, len(us[0])))
+        for (i, j), c in zip(exponents(self.order), self.coefficients, strict=True):
+            out += us[i] * vs[j] * c[:, None]
+        return np.ascontiguousarray(out.T)
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
         """Map target points back by Newton from the affine part; NaN where there is no answer."""
@@ -328,28 +279,17 @@ class Polynomial:
         return invert(self, points, rough.inverse(points))
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """Return d(x′, y′)/d(x, y), (n, 2, 2)."""
-        from levkas.geometry.pixel_maps_kernel import polynomial_slopes
+        us, vs = self._powers(points)
+        out = np.zeros((2, 2, len(us[0])))
+        for (i, j), c in zip(exponents(self.order), self.coefficients / self.spread, strict=True):
+            if i:
+                out[:, 0] += i * us[i - 1] * vs[j] * c[:, None]
+            if j:
+                out[:, 1] += j * us[i] * vs[j - 1] * c[:, None]
+        return np.ascontiguousarray(np.moveaxis(out, -1, 0))
 
-        return np.asarray(
-            polynomial_slopes(
-                np.ascontiguousarray(points, float),
-                self.order,
-                np.asarray(self.centre, float),
-                float(self.spread),
-                np.ascontiguousarray(self.coefficients, float),
-            )
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready record."""
-        return {
-            "kind": "polynomial",
-            "order": self.order,
-            "centre": np.asarray(self.centre, float).tolist(),
-            "spread": float(self.spread),
-            "coefficients": np.asarray(self.coefficients, float).tolist(),
-        }
+    def _powers(self, points: np.ndarray) -> list[list[np.ndarray]]:
+        return _powers(points, self.order, self.centre, self.spread)
 
 
 def frame_of(points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -361,45 +301,38 @@ def frame_of(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 def design_matrix(points: np.ndarray, order: int, centre: np.ndarray, spread: float) -> np.ndarray:
     """Return the (n, terms) matrix of u^i v^j, terms as `exponents` orders them."""
-    u, v = ((np.asarray(points, float) - centre) / spread).T
-    us, vs = _powers(u, order), _powers(v, order)
-    design = np.empty((len(u), (order + 1) * (order + 2) // 2))
+    us, vs = _powers(points, order, centre, spread)
+    design = np.empty((len(us[0]), len(exponents(order))))
     for term, (i, j) in enumerate(exponents(order)):
         np.multiply(us[i], vs[j], out=design[:, term])
     return design
 
 
-def _powers(base: np.ndarray, most: int) -> list[np.ndarray]:
-    powers = [np.ones_like(base)]
-    for _ in range(most):
-        powers.append(powers[-1] * base)
-    return powers
+def _powers(
+    points: np.ndarray, most: int, centre: np.ndarray, spread: float
+) -> list[list[np.ndarray]]:
+    """Return the powers 0 to `most` of u, and of v."""
+    found = []
+    for base in ((np.asarray(points, float) - centre) / spread).T:
+        powers = [np.ones_like(base)]
+        for _ in range(most):
+            powers.append(powers[-1] * base)
+        found.append(powers)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
-class Lens:
-    """Lens distortion in centred, scaled coordinates: radial k1, k2 and tangential p1, p2.
+class Lens(_Stored):
+    """Lens distortion in centred, scaled coordinates: radial (k1, k2) and tangential (p1, p2), usually within ±0.1.
 
     With (u, v) = (p − centre)/spread and r² = u² + v²:
-    u′ = u(1 + k1 r² + k2 r⁴) + 2 p1 u v + p2 (r² + 2u²), and v′ alike; then back to pixels.
-
-    Parameters
-    ----------
-    centre : ndarray, (2,), px
-        Centre of distortion (x, y).
-    spread : float, px, > 0
-        Length that is 1 in (u, v), such as half of the longer side.
-    radial, tangential : (float, float)
-        (k1, k2) and (p1, p2), no unit; usually within ±0.1.
+    u′ = u(1 + k1 r² + k2 r⁴) + 2 p1 u v + p2 (r² + 2u²), and v′ alike; then back to pixels. `centre` (2,) and `spread`,
+    such as half of the longer side, are px.
 
     Raises
     ------
     ValueError
         Where points are not (n, 2). `inverse` gives NaN past the fold of the lens.
-
-    Notes
-    -----
-    Model of [brown1966]_, which has no DOI.
 
     Examples
     --------
@@ -407,6 +340,8 @@ class Lens:
 
     >>> Lens(np.array([100.0, 100.0]), 100.0, radial=(0.01, 0.0))(np.array([[200.0, 100.0]])).tolist()
     [[201.0, 100.0]]
+
+    Model of [brown1966]_, which has no DOI.
     """
 
     centre: np.ndarray
@@ -432,7 +367,6 @@ class Lens:
         return np.where(upright[:, None], found, np.nan)
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """Return d(x′, y′)/d(x, y), (n, 2, 2)."""
         u, v = ((np.asarray(points, float) - self.centre) / self.spread).T
         (k1, k2), (p1, p2) = self.radial, self.tangential
         r2 = u * u + v * v
@@ -442,24 +376,9 @@ class Lens:
         yy = gain + 2 * v * v * slope + 2 * p2 * u + 6 * p1 * v
         return np.stack([np.stack([xx, cross], 1), np.stack([cross, yy], 1)], 1)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready record."""
-        return {
-            "kind": "lens",
-            "centre": np.asarray(self.centre, float).tolist(),
-            "spread": float(self.spread),
-            "radial": [float(k) for k in self.radial],
-            "tangential": [float(p) for p in self.tangential],
-        }
-
 
 class Composed:
     """Maps applied one after another, left to right; nested ones are laid flat.
-
-    Parameters
-    ----------
-    *steps : Transform
-        Each takes the points (n, 2), px, that the one before it gives.
 
     Raises
     ------
@@ -485,14 +404,12 @@ class Composed:
         return result
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
-        """Map target points back through the steps in reverse."""
         result = np.asarray(points, float)
         for step in reversed(self.steps):
             result = step.inverse(result)
         return result
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """Return d(x′, y′)/d(x, y), (n, 2, 2), by the chain rule."""
         result, here = np.broadcast_to(np.eye(2), (len(points), 2, 2)), np.asarray(points, float)
         for step in self.steps:
             result = step.jacobian(here) @ result
@@ -500,22 +417,17 @@ class Composed:
         return result
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready record."""
-        return {"kind": "composed", "steps": [step.to_dict() for step in self.steps]}
+        return {"kind": "composed", "steps": stored(self.steps)}
 
 
-class Inverse:
-    """Inverse of a map, as a map.
-
-    Parameters
-    ----------
-    of : Transform
-        Points (n, 2), px, to points (n, 2), px.
+@dataclass(frozen=True, eq=False)
+class Inverse(_Stored):
+    """Inverse of a map, as a map; raises what the map's own inverse does, NaN where there is none.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        Where an affine or projective map has no inverse; other maps give NaN where there is none.
+        Where an affine or projective map has no inverse.
 
     Examples
     --------
@@ -523,20 +435,13 @@ class Inverse:
     [[3.0, 4.0]]
     """
 
-    def __init__(self, of: Transform) -> None:
-        self.of = of
+    of: Transform
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         return self.of.inverse(points)
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
-        """Map target points back: the map itself."""
         return self.of(points)
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """Return d(x′, y′)/d(x, y), (n, 2, 2)."""
         return np.linalg.inv(self.of.jacobian(self.of.inverse(points)))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready record."""
-        return {"kind": "inverse", "of": self.of.to_dict()}
