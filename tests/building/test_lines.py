@@ -94,7 +94,7 @@ def lines_built(tmp_path_factory):
 def test_maps_follow_a_wobbling_scan_and_interlaced_halves_in_a_build(lines_built):
     verdicts = {c: record_of(lines_built, c)["verdict"] for c in ("still", "wobbling", "video")}
     assert [v["decision"] for v in verdicts.values()] == ["accept", "accept", "warn"]
-    evidence = {c: v["numbers"]["sensor"]["verification"] for c, v in verdicts.items()}
+    evidence = {c: v["numbers"]["sensor"] for c, v in verdicts.items()}
     assert not evidence["still"]["line_displacement"]["displaced"]
     assert evidence["still"]["line_correction"] is None
     found = {c: evidence[c]["line_correction"]["before"] for c in ("wobbling", "video")}

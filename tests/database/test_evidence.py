@@ -21,7 +21,7 @@ def write_record(root, **numbers):
     record = {
         "object": "a", "camera": "cam", "reference": {"camera": "cam", "band": "G", "size": [100, 100]},
         "grid": {"size": [60, 40], "transform": Affine(np.array([[1.0, 0, 10], [0, 1, 20]])).to_dict()},
-        "verdict": {"decision": "warn", "reasons": [], "numbers": {"sensor": {"verification": numbers}}},
+        "verdict": {"decision": "warn", "reasons": [], "numbers": {"sensor": numbers}},
         "bands": {"G": band, "R": {**band, "sigma": {**NODES, "sigma_px": [[0.15, 0.15], [0.15, 0.15]]}}},
     }  # fmt: skip
     path = root / "objects/a/registration/cam.json"

@@ -83,7 +83,7 @@ def test_a_half_seen_object_is_accepted_and_what_is_not_seen_is_counted(
     )  # fmt: skip
     assert found.verdict.decision == "accept", found.verdict.reasons
     assert found.verdict.unchecked == pytest.approx(0.5, abs=0.05)
-    assert found.verdict.numbers["overlap"] == pytest.approx(0.5, abs=0.03)
+    assert found.verdict.numbers["sensor"]["overlap"] == pytest.approx(0.5, abs=0.03)
 
 
 def refused(reference, target, **options):

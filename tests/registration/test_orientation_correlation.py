@@ -1,13 +1,14 @@
 """Orientation correlation: poses of pictures that share outlines only, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, register
 from levkas.registration.orientation_correlation import match_by_directions
-from levkas.registration.verdict import objections_to
-from levkas.registration.verdict_rules import WINDOWS
+from levkas.registration.verdict import Evidence, objections_to
 
 SIZE = (260, 200)
 
@@ -98,23 +99,15 @@ def test_pictures_that_share_outlines_only_are_registered_and_doubted():
     assert np.isfinite(sigma).all() and (sigma > 0).all()
 
 
-UNSURE = {
-    "kept": 20, "terms": 6, "by_outlines": True, "share_above_chance": 0.1, "held_out_px": np.inf, "step": 1,
-    "window_sigma_px": None, "overlap": 1.0, "folded": 0.0, "windows": 8, "found": 0, "agreeing": 0,
-    "window_median": np.inf, "tolerance": 1.0, "second_peak_ratio": 0.2, "coverage": 0.0, "off_share": 0.0, "off": [],
-    "unsupported": [[0, 0, 5, 5]], "checked": 0.0, "unchecked": [[0, 0, 9, 9, 1.0]],
-    "cover": 0.6, "converged": True,
-}  # fmt: skip
+UNSURE = Evidence(
+    basis="windows", kept=20, terms=6, begun="outlines", share_above_chance=0.1, held_out_px=np.inf, overlap=1.0, folded=0.0,
+    mirrored=False, windows=8, found=0, agreeing=0, window_median=np.inf, tolerance=1.0, second_peak_ratio=0.2, coverage=0.0,
+    off_share=0.0, off=[], unsupported=[[0, 0, 5, 5]], checked=0.0, unchecked=[[0, 0, 9, 9, 1.0]], cover=0.6, box=(0, 0, 9, 9),
+)  # fmt: skip
 
 
 def test_want_of_evidence_is_a_doubt_where_outlines_agree():
-    for agreeing, decision in ((28, "warn"), (12, "refuse")):
+    for agreeing, elsewhere, refused in ((28, 0.2, False), (12, 0.2, True), (28, 1.2, True)):
         outlines = {"blocks": 30, "agreeing": agreeing, "px": 2.0}
-        found = objections_to({**UNSURE, "outlines": outlines}, WINDOWS)
-        assert ("refuse" in [one.decision for one in found]) == (decision == "refuse")
-    off = {
-        **UNSURE,
-        "outlines": {"blocks": 30, "agreeing": 28, "px": 2.0},
-        "second_peak_ratio": 1.2,
-    }
-    assert "refuse" in [one.decision for one in objections_to(off, WINDOWS)]
+        found = objections_to(replace(UNSURE, outlines=outlines, second_peak_ratio=elsewhere))
+        assert ("refuse" in [one.decision for one in found]) == refused

@@ -50,7 +50,7 @@ def test_a_half_covered_object_is_accepted_and_the_covered_half_is_named(studio,
     valid = truth(points)[:, 0] < studio.size[0] // 2 - 5
     miss = np.linalg.norm(found.transforms["grey"](points) - truth(points), axis=1)
     assert miss[valid].mean() < 0.1
-    numbers = found.verdict.numbers["sensor"]["verification"]
+    numbers = found.verdict.numbers["sensor"]
     assert 0.3 < numbers["coverage"] < 0.7
     # Cells are 50 px wide: none that is named lies wholly in the half that shows the object.
     assert all(x + width > 120 for x, _, width, _ in numbers["unsupported"] + numbers["off"])

@@ -356,9 +356,8 @@ def _error(record: dict[str, Any]) -> tuple[float | None, float | None]:
     verdict, errors = record["verdict"], record.get("errors", {})
     if verdict["decision"] == "refuse":
         return None, None
-    sensors = list((errors.get("sensors") or {}).values())
-    found = [(verdict.get("numbers") or {}).get("held_out_median")]
-    found += [sensor.get("held_out_px") for sensor in sensors]
+    sensors = [*(errors.get("sensors") or {}).values(), *(verdict.get("numbers") or {}).values()]
+    found = [one.get("held_out_px") for one in sensors if isinstance(one, dict)]
     numbers = [value for value in found if isinstance(value, int | float)]
     return (max(numbers), 1 - unchecked_share(record)) if numbers else (None, None)
 

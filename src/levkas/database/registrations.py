@@ -253,13 +253,8 @@ def describe_size(record: Mapping[str, Any]) -> list[str]:
 def unconfirmed_cells(record: Mapping[str, Any]) -> list[list[float]]:
     """Return the cells, (x, y, width, height) in reference px, where nothing confirms a layer's map, or it is off."""
     numbers = record.get("verdict", {}).get("numbers") or {}
-    parts = [
-        numbers,
-        *(n.get("verification") or {} for n in numbers.values() if isinstance(n, dict)),
-    ]
-    cells = (
-        cell for part in parts for key in ("unsupported", "off") for cell in part.get(key) or ()
-    )
+    sensors = (n for n in numbers.values() if isinstance(n, dict))
+    cells = (cell for n in sensors for key in ("unsupported", "off") for cell in n.get(key) or ())
     return [[float(value) for value in cell[:4]] for cell in cells]
 
 

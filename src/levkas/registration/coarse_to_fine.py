@@ -1,4 +1,4 @@
-"""Coarse to fine: from an initial transform to the map of every band of one sensor.
+"""Coarse to fine: from an initial transform to the map of every band of one sensor, and the evidence on it.
 
 On each grid of a pyramid the windows of all bands are shifted, their shifts fused and a base map selected;
 on the finest grid that rounds are repeated, with the lateral chromatic aberration of each band, until the
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_d
 from levkas.registration.initial import SETTINGS as INITIAL
 from levkas.registration.initial import (
     InitialTransform,
-    StartPairs,
     find_initial_transform,
     implausible,
     is_plausible,
@@ -32,7 +31,6 @@ from levkas.registration.line_correction import LineCorrection, find_correction
 from levkas.registration.line_displacement import LineDisplacement, measure_line_displacement
 from levkas.registration.local_shifts import WindowShifts, highpass
 from levkas.registration.manual_points import ManualPoints
-from levkas.registration.marks import Marks, compare_marks, confirmed_places, white_noise, whiteness
 from levkas.registration.measured_bands import chromatic_of_all, is_smooth_in_wavelength
 from levkas.registration.model_selection import SelectedModel, SelectionTerms
 from levkas.registration.orientation_correlation import match_blocks
@@ -45,6 +43,7 @@ from levkas.registration.predictors import (
 )
 from levkas.registration.record import RegistrationRefused, Sigma, refusal
 from levkas.registration.uncertainty import measure_sigma, with_lines
+from levkas.registration.verdict import SCALES, Evidence, Light
 from levkas.registration.verification import (
     PermutationTest,
     coarsening,
@@ -104,7 +103,6 @@ class RefinementSettings:
     lines, by less in the second, and the third changes little."""
 
 
-Light = Literal["same", "other", "unknown"]
 SETTINGS = RefinementSettings()
 COARSE_SCALES = (1 / 30, INITIAL.scales[1])
 """Native px per reference px of maps of one scan: 4 to 20 px of a photograph lie in one of theirs, and half as many again."""
@@ -156,17 +154,14 @@ class SensorTask:
         """Return the side of a window's cell on a grid, reference px."""
         return float(self.reference.predictor(step).cell * step)
 
-    def resample(
-        self, band: BandImage, transform: Transform, step: int, image: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Return a band, or `image` in its stead, on the grid of `step` reference px; blocks of about one reference px.
+    def resample(self, band: BandImage, transform: Transform, step: int) -> np.ndarray:
+        """Return a band on the grid of `step` reference px; blocks of about one reference px.
 
         A band of a mosaic is taken at its own sites. What else is between them has detail of other bands, which lies where these
         have it; and blocks that all begin at one sensel of the period lie otherwise than their middles.
         """
         size = (self.reference.shape[0] // step, self.reference.shape[1] // step)
-        scale, sites = self.scale, band.sites if image is None else None
-        image = self.images[band.label] if image is None else image
+        scale, sites, image = self.scale, band.sites, self.images[band.label]
         if sites is not None and self._block(scale, step) == 1:
             image = sites.filled(image)
         elif sites is not None:
@@ -230,27 +225,6 @@ class SensorTask:
             "same" if has_colours([self.resample(b, transform, step) for b in among]) else "unknown"
         )
 
-    def measure_marks(self, found: RefinedMap) -> Marks | None:
-        """Compare marks on a grid about as fine as the coarser picture, around the windows that confirm a map.
-
-        On a finer one, marks of the finer picture are fine detail that the coarser one cannot show. Maps of a scan show no marks.
-        """
-        if self.one_scan:
-            return None
-        best = [band.label for band in self.bands].index(found.course["band"])
-        step = max(1, round(1 / self.scale))
-        whole = Composed(found.chromatic.transform(best), found.base)
-        band, reference = self.bands[best], self.reference.principal_image(step)
-        own = self.images[band.label]
-        white = (
-            self.reference.whiteness(step),
-            whiteness(self.resample(band, whole, step, white_noise(own.shape))),
-        )
-        target = self.resample(band, whole, step, own)
-        return compare_marks(
-            reference, target, confirmed_places(found.checks, reference.shape, step), white
-        )
-
 
 @dataclass(frozen=True)
 class RefinedMap:
@@ -264,16 +238,19 @@ class RefinedMap:
     selected: SelectedModel
     windows: list[WindowShifts]
     """Shifts of the last round, before its correction; one a band."""
-    evidence: dict[str, float]
+    test: PermutationTest
     """How far its best band is predicted above chance."""
-    verification: dict[str, Any]
-    """Numbers of `verify`."""
-    checks: CheckWindows
-    course: dict[str, Any]
-    """``rounds`` that were made, ``converged``: whether the map had converged in the last of them, ``moved``, reference px:
-    by how much that moved it, the median over windows, ``band`` by which it was judged."""
+    band: str
+    """By which it was judged."""
+    rounds: int
+    converged: bool
+    moved: float
+    """Rounds that were made, and whether the last of them moved the map by little, reference px, the median over windows."""
     light: Light
     """Whether that band sees light that the reference sees too: only then pictures are compared by likeness (SSIM)."""
+    numbers: dict[str, Any]
+    checks: CheckWindows
+    """`numbers`, `checks`: of `verify`."""
 
 
 @dataclass(frozen=True)
@@ -287,15 +264,12 @@ class RegisteredSensor:
     sigma: dict[str, Sigma] = field(default_factory=dict)
     initial: InitialTransform | None = None
     refined: RefinedMap | None = None
-    """None, as `initial`, for the reference's own sensor, whose base map is the identity."""
+    """None, as `initial` and `evidence`, for the reference's own sensor, whose base map is the identity."""
+    evidence: Evidence | None = None
     lines: LineDisplacement | None = None
     """How single lines lie beside the map; None where too few show enough."""
     correction: LineCorrection | None = None
     """Of lines that are displaced, which the maps follow; `refined` is of the picture put right."""
-    apart_px: float | None = None
-    """How far the map lies from a declared alignment, native px; None where none is declared."""
-    pairs: StartPairs | None = None
-    """How many pairs of another program agree with the map; None where none are given, or looked for."""
     placed: PlacedByHand | None = None
     """The map where it is fitted to a person's pairs alone; there is no `initial` and no `refined` then."""
 
@@ -308,6 +282,12 @@ class RegisteredSensor:
             return self.refined.base if self.refined else None
         return Composed(self.refined.base, self.correction.transform())
 
+    def knowing(self, **known: Any) -> RegisteredSensor:
+        """Return the sensor with more evidence; of one without evidence nothing is known."""
+        if self.evidence is None:
+            return self
+        return replace(self, evidence=replace(self.evidence, **known))
+
 
 def register_sensor(
     bands: Sequence[BandImage],
@@ -315,31 +295,17 @@ def register_sensor(
     reference: ReferenceStack,
     ours: CameraFeatures,
     theirs: CameraFeatures,
-    by_hand: ManualPoints | None = None,
+    by_hand: ManualPoints,
     reference_sigma: Mapping[str, Sigma] | None = None,
     begin: Begin = find_initial_transform,
 ) -> RegisteredSensor:
     """Register the bands of one sensor of another camera to the reference.
 
-    Raises RegistrationRefused: ``E_MATCHES``, ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``.
-
-    Parameters
-    ----------
-    bands : sequence of BandImage
-        Of the sensor.
-    images : mapping of label to ndarray
-        Square roots, as `sqrt_images` gives them, of the bands that are measured; others follow from them.
-    ours, theirs : CameraFeatures
-        Key points of the reference and of the sensor.
-    by_hand : ManualPoints, optional
-        Pairs by hand: they start the search where key points do not, and weigh as a hand can point.
-    reference_sigma : mapping of label to Sigma, optional
-        Uncertainty of the reference's own bands.
-    begin : callable
-        Returns the initial transform of two cameras' key points, or None; by default from these alone.
+    `images` are square roots of the bands that are measured, others follow from them; `ours` and `theirs` key points of the
+    reference and of the sensor, of which `begin` returns the initial transform, or None. Pairs by hand start the search where it
+    does not, and weigh as a hand can point. Raises RegistrationRefused: ``E_MATCHES``, ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``.
     """
     initial = begin(ours, theirs)
-    by_hand = by_hand or ManualPoints()
     if by_hand:
         initial = seed_with_points(initial, by_hand, ours, theirs)
     if initial is None:
@@ -359,37 +325,52 @@ def register_sensor(
     found = refine_map(task)
     if not is_smooth_in_wavelength(found.chromatic, shown, there):
         images = {**images, **sqrt_images([band for band in there if band.label not in images])}
-        shown = there
-        task = replace(task, bands=shown, images=images)
+        task = replace(task, bands=there, images=images)
         found = refine_map(task)
     task, found, lines, correction = _put_lines_right(task, found)
     native = () if correction is None else (correction.transform(),)
-    chromatic = chromatic_of_all(found.chromatic, shown, bands)
-    unsure, coarse = found.verification["coverage"] < SETTINGS.sure_coverage, None
-    if unsure or np.isinf(found.selected.held_out_error):
+    chromatic = chromatic_of_all(found.chromatic, task.bands, bands)
+    outlines = None
+    if found.numbers["coverage"] < SETTINGS.sure_coverage or np.isinf(
+        found.selected.held_out_error
+    ):
         whole = Composed(found.base, *native)
-        blocks = match_blocks(ours.greys[:], theirs.greys[:], whole, ours.within)
-        found.verification["outlines"] = blocks.to_dict()
-        coarse = blocks.tolerance
-    if task.one_scan:
-        found.verification["scales"] = list(task.scales)
-    measured = {"line_displacement": lines, "line_correction": correction}
-    for name, one in {**measured, "marks": task.measure_marks(found)}.items():
-        found.verification[name] = None if one is None else one.to_dict()
+        outlines = match_blocks(ours.greys[:], theirs.greys[:], whole, ours.within)
     transforms: dict[str, Transform] = {
         label: Composed(chromatic.transform(i), found.base, *native)
         for i, label in enumerate(labels)
     }
     sigma = measure_sigma(
         reference.shape, labels, chromatic, found.selected, reference_sigma,
-        checks=found.checks, coarse=coarse,
+        checks=found.checks, coarse=outlines and outlines.tolerance,
     )  # fmt: skip
-    beside = (one.sigma for one in (lines, correction) if one)
-    sigma = with_lines(sigma, max(beside, default=0.0))
-    windows = dict(zip([band.label for band in shown], found.windows, strict=True))
-    return RegisteredSensor(
-        bands[0].sensor, transforms, chromatic, windows, sigma, initial, found, lines, correction
+    sigma = with_lines(sigma, max((one.sigma for one in (lines, correction) if one), default=0.0))
+    evidence = Evidence(
+        basis="windows",
+        kept=int(initial.kept.sum()),
+        key_points=len(initial.kept),
+        terms=found.selected.spec.coefficients if found.selected.spec else 3,
+        held_out_px=found.selected.held_out_error,
+        window_sigma_px=found.selected.window_sigma,
+        fitted_windows=len(found.selected.weights),
+        step=found.step,
+        scales=task.scales if task.one_scan else SCALES,
+        share_above_chance=found.test.share,
+        cover=found.test.cover,
+        begun="outlines" if initial.by_outlines else "pairs" if initial.by_pairs else "key points",
+        rounds=found.rounds,
+        converged=found.converged,
+        moved=found.moved,
+        light=found.light,
+        outlines=outlines and outlines.to_dict(),
+        line_displacement=lines and lines.to_dict(),
+        line_correction=correction and correction.to_dict(),
+        **found.numbers,
     )
+    windows = dict(zip([band.label for band in task.bands], found.windows, strict=True))
+    return RegisteredSensor(
+        bands[0].sensor, transforms, chromatic, windows, sigma, initial, found, evidence, lines, correction
+    )  # fmt: skip
 
 
 def _put_lines_right(
@@ -422,19 +403,17 @@ def _put_lines_right(
 
 def refine_map(task: SensorTask) -> RefinedMap:
     """Refine the map of one sensor from coarse to fine; raises RegistrationRefused (``E_WINDOWS``, ``E_SCALE``, ``E_FOLD``)."""
-    bands = task.bands
     way = _Refinement(task)
     way.approach()
     way.converge()
-    best = max(range(len(bands)), key=lambda i: float(way.windows[i].r2.mean()))
-    way.course["band"] = bands[best].label
+    best = max(range(len(task.bands)), key=lambda i: float(way.windows[i].r2.mean()))
     judged = max(way.step, task.plain_step)
     test = way.exclude_covered(best, judged)
-    whole = Composed(way.chromatic.transform(best), way.base)
-    numbers, checks = _verify(task, bands[best], whole, judged, test)
+    band, whole = task.bands[best], Composed(way.chromatic.transform(best), way.base)
+    numbers, checks = _verify(task, band, whole, judged, test)
     return RefinedMap(
-        way.base, judged, way.chromatic, way.selected, way.windows, test.evidence,
-        numbers, checks, way.course, task.light_of(bands[best], whole, judged),
+        way.base, judged, way.chromatic, way.selected, way.windows, test, band.label, way.rounds,
+        way.converged, way.moved, task.light_of(band, whole, judged), numbers, checks,
     )  # fmt: skip
 
 
@@ -443,12 +422,14 @@ class _Refinement:
 
     selected: SelectedModel
     windows: list[WindowShifts]
+    rounds: int
+    converged: bool
+    moved: float
 
     def __init__(self, task: SensorTask) -> None:
         self.task, self.base = task, task.initial.transform
         self.step = task.finest_step
         self.chromatic = zero_displacement(len(task.bands), *frame_centre(task.reference.shape))
-        self.course: dict[str, Any] = {}
 
     def approach(self) -> None:
         """Refine the base map from coarse to fine; stop at the grid that shows most.
@@ -481,7 +462,7 @@ class _Refinement:
         small = height * width < SETTINGS.large * self.step**2
         planned = [self.step] * SETTINGS.rounds if small else [2 * self.step, self.step]
         steps = planned + [self.step] * (SETTINGS.most_rounds - len(planned))
-        for rounds, step in enumerate(steps, 1):
+        for number, step in enumerate(steps, 1):
             self.windows = self._measure_windows(step)
             before = self.base
             self._fit(step, SelectionTerms(depth_step=step == self.step))
@@ -492,9 +473,9 @@ class _Refinement:
                     self.windows, self.chromatic, wavelengths, common=common
                 )
             shift = float(np.sqrt(np.median((moved**2).sum(1))))
-            converged = shift < SETTINGS.converged * self.step
-            self.course = {"rounds": rounds, "converged": converged, "moved": round(shift, 5)}
-            if rounds >= len(planned) and converged:
+            self.rounds, self.moved = number, round(shift, 5)
+            self.converged = shift < SETTINGS.converged * self.step
+            if number >= len(planned) and self.converged:
                 return
 
     def exclude_covered(self, best: int, judged: int) -> PermutationTest:

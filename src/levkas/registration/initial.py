@@ -512,18 +512,6 @@ def begin_with(
 # --- from pairs of another program
 
 
-@dataclass(frozen=True)
-class StartPairs:
-    """Pairs of another program beside the map that was found."""
-
-    given: int
-    agreeing: int
-    """`given`, `agreeing`: how many there are, and how many agree with the map within 0.5 % of the longer side of the
-    reference, at least 3 px."""
-    used: bool
-    """Whether they started the search; not where the pictures alone gave the map."""
-
-
 def _pair_reach(shape: tuple[int, ...]) -> float:
     return max(SETTINGS.reach, SETTINGS.pair_share * max(shape))
 

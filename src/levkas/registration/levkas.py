@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,6 @@ from levkas.registration.coarse_to_fine import (
 )
 from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.initial import (
-    StartPairs,
     agreeing_pairs,
     begin_with,
     begin_with_pairs,
@@ -47,14 +46,12 @@ from levkas.registration.record import (
     describe_windows,
 )
 from levkas.registration.reference_bands import lie_together, register_own_bands
-from levkas.registration.verdict import judge_windows
-from levkas.registration.verdict_rules import ONLY
-from levkas.registration.verdict_rules import SETTINGS as VERDICT
+from levkas.registration.verdict import ALIGN_PX, ONLY, Judged, judge
 
 if TYPE_CHECKING:
     from levkas.campaign.methods import LevkasOptions
     from levkas.registration.bands import BandImage
-    from levkas.registration.model_selection import SelectedModel
+    from levkas.registration.predictors import ReferenceStack
     from levkas.registration.request import Request
 
 
@@ -71,7 +68,7 @@ def register_levkas(request: Request, options: LevkasOptions) -> Registration:
             request.reference, request.reference_band, request.region, request.outline
         )
     )
-    own, anchor, target = request.is_own, base.anchor, request.target
+    own, anchor = request.is_own, base.anchor
     transforms, sigma = request.reference_transforms, request.reference_sigma
     sensors = []
     if transforms is None or own:
@@ -81,143 +78,147 @@ def register_levkas(request: Request, options: LevkasOptions) -> Registration:
         first = lie_together(bands, anchor) if lying else register_own_bands(bands, images, anchor)
         transforms, sigma = first.transforms, first.sigma
         sensors = [first] if own else []
-    names = list(dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor))
+    sensors_of = (i.sensor for i in request.target if not own or i.sensor != anchor.sensor)
+    names = list(dict.fromkeys(sensors_of))
+    share = base.area.share_of(request.layer)
     if names:
-        stack, one_scan = base.stack(transforms), request.one_scan
-        by_key_points = find_coarse_transform if one_scan else find_initial_transform
-
-        def pictures_of(name: str) -> tuple[list[BandImage], dict[str, np.ndarray], CameraFeatures]:
-            bands = by_wavelength([image for image in target if image.sensor == name])
-            there = present_bands(bands)
-            if one_scan:
-                bands = there = gather_signal(there)
-            shown = [there[i] for i in measured_bands(there)]
-            pictures = {b.label: base.images[b.label] for b in shown} if own else sqrt_images(shown)
-            return bands, pictures, CameraFeatures(GreyImages(list(pictures.values())))
-
-        def register_one(name: str, begin: Begin = by_key_points) -> RegisteredSensor:
-            by_hand = request.given.get(name)
-            if by_hand and by_hand.accepted:
-                bands = by_wavelength([image for image in target if image.sensor == name])
-                return _placed(name, bands, by_hand, stack.shape)
-            bands, pictures, theirs = pictures_of(name)
-            found = register_sensor(
-                bands, pictures, stack, base.keys, theirs, by_hand, sigma, begin
-            )
-            labels = [image.label for image in target if image.sensor == name]
-            return _of_all_maps(found, labels, stack.shape) if one_scan else found
-
-        pairs = {name: (request.given.get(name) or ManualPoints()).starts for name in names}
-
-        known: dict[str, Transform] = {anchor.sensor: Affine.identity()} if own else {}
-        align = {target[0].sensor: Affine.identity()} | read_alignments(request.align)
-        sensors += _register_sensors(names, register_one, align, known, pairs, stack.shape)
-    labels, object_share = [image.label for image in target], base.area.share_of(request.layer)
-    return _assemble(sensors, labels, base.area.to_dict(), object_share)
+        target = _Target(request, base, base.stack(transforms), sigma, share)
+        sensors += target.register_all(names)
+    return _assemble(sensors, [i.label for i in request.target], base.area.to_dict(), share)
 
 
-def _register_sensors(
-    names: Sequence[str],
-    register_one: Callable[..., RegisteredSensor],
-    align: Mapping[str, Transform],
-    known: Mapping[str, Transform],
-    pairs: Mapping[str, np.ndarray],
-    shape: tuple[int, int],
-) -> list[RegisteredSensor]:
-    """Register every sensor by itself; where a declared alignment helps or contradicts, begin with it too, and where the verdict refuses, with pairs.
+@dataclass(frozen=True)
+class _Target:
+    """A camera to be registered, and the reference made ready for it."""
 
-    `align` are declared maps from the first sensor's px, the first one's identity among them; `known` are maps of
-    sensors that are not registered; `pairs` are the candidates of a sensor's start; `shape` is the reference's. Raises RegistrationRefused of the first sensor without
-    a map. Of two registered sensors the distance from the declared alignment is the second's alone.
-    """
-    first = next(iter(align))
+    request: Request
+    base: PreparedReference
+    stack: ReferenceStack
+    reference_sigma: Mapping[str, Sigma] | None
+    object_share: float
+    """Share of the layer that shows the object."""
 
-    def attempt(name: str) -> RegisteredSensor | RegistrationRefused:
+    def register_all(self, names: Sequence[str]) -> list[RegisteredSensor]:
+        """Register every sensor by itself; where a declared alignment helps or contradicts, begin with it too, and where the verdict refuses, with pairs.
+
+        Raises RegistrationRefused of the first sensor without a map. Of two registered sensors the distance from the declared
+        alignment is the second's alone.
+        """
+        request, shape = self.request, self.stack.shape
+        leader = request.target[0].sensor
+        align = {leader: Affine.identity()} | read_alignments(request.align)
+        known: dict[str, Transform] = (
+            {self.base.anchor.sensor: Affine.identity()} if request.is_own else {}
+        )
+        tried = dict(zip(names, each(self.attempt, names), strict=True))
+        found = []
+        for name, one in tried.items():
+            others = known | {
+                other: sensor.base
+                for other, sensor in tried.items()
+                if other != name and isinstance(sensor, RegisteredSensor) and sensor.base
+            }
+            declared = declared_map(name, align, others)
+            if declared is not None:
+                one = self.begin_anew(name, one, declared)
+            one = self.begin_with_pairs(name, one)
+            if isinstance(one, RegistrationRefused):
+                raise one
+            if declared is not None and (
+                name != leader or declared_map(name, align, known) is not None
+            ):
+                one = one.knowing(align_apart_px=_apart(one, declared, shape))
+            found.append(one)
+        return found
+
+    def attempt(
+        self, name: str, begin: Begin | None = None
+    ) -> RegisteredSensor | RegistrationRefused:
+        """Register one sensor, or return its refusal."""
         try:
-            return register_one(name)
+            return self.register_one(name, begin)
         except RegistrationRefused as refusal:
             return refusal
 
-    tried = dict(zip(names, each(attempt, names), strict=True))
-    found = []
-    for name, one in tried.items():
-        others = dict(known) | {
-            other: sensor.base
-            for other, sensor in tried.items()
-            if other != name and isinstance(sensor, RegisteredSensor) and sensor.base
-        }
-        declared = declared_map(name, align, others)
-        if declared is not None:
-            again = partial(register_one, name, partial(begin_with, declared))
-            one = _begun_anew(one, again, declared, shape)
-        one = _begun_with_pairs(one, partial(register_one, name), pairs[name], shape)
-        checked = name != first or declared_map(name, align, known) is not None
-        if declared is not None and checked and isinstance(one, RegisteredSensor):
-            one = replace(one, apart_px=_apart(one, declared, shape))
-        if isinstance(one, RegistrationRefused):
-            raise one
-        found.append(one)
-    return found
+    def register_one(self, name: str, begin: Begin | None) -> RegisteredSensor:
+        """Register one sensor, from key points where `begin` is none; where a person's pairs are to place it, by these alone."""
+        request, base = self.request, self.base
+        by_hand = request.given.get(name) or ManualPoints()
+        mine = [image for image in request.target if image.sensor == name]
+        bands = by_wavelength(mine)
+        if by_hand.accepted:
+            return _placed(name, bands, by_hand, self.stack.shape)
+        there = present_bands(bands)
+        if request.one_scan:
+            bands = there = gather_signal(there)
+        shown = [there[i] for i in measured_bands(there)]
+        pictures = (
+            {band.label: base.images[band.label] for band in shown}
+            if request.is_own
+            else sqrt_images(shown)
+        )
+        start = find_coarse_transform if request.one_scan else find_initial_transform
+        found = register_sensor(
+            bands, pictures, self.stack, base.keys, CameraFeatures(GreyImages(list(pictures.values()))),
+            by_hand, self.reference_sigma, begin or start,
+        ).knowing(object_share=self.object_share)  # fmt: skip
+        labels = [image.label for image in mine]
+        return _of_all_maps(found, labels, self.stack.shape) if request.one_scan else found
 
+    def begin_anew(
+        self, name: str, one: RegisteredSensor | RegistrationRefused, declared: Transform
+    ) -> RegisteredSensor | RegistrationRefused:
+        """Register again from where a declared alignment puts a sensor, if its own map is not there; return what more windows confirm."""
+        if isinstance(one, RegisteredSensor) and (
+            one.placed or _apart(one, declared, self.stack.shape) <= ALIGN_PX
+        ):
+            return one
+        other = self.attempt(name, partial(begin_with, declared))
+        return other if _agreeing(other) > _agreeing(one) else one
 
-def _begun_anew(
-    one: RegisteredSensor | RegistrationRefused,
-    again: Callable[[], RegisteredSensor],
-    declared: Transform,
-    shape: tuple[int, int],
-) -> RegisteredSensor | RegistrationRefused:
-    """Register again from where a declared alignment puts a sensor, if its own map is not there; return what more windows confirm."""
-    if isinstance(one, RegisteredSensor) and (
-        one.placed or _apart(one, declared, shape) <= VERDICT.align_px
-    ):
-        return one
-    try:
-        other = again()
-    except RegistrationRefused:
-        return one
-    better = isinstance(one, RegistrationRefused) or _agreeing(other) > _agreeing(one)
-    return other if better else one
+    def begin_with_pairs(
+        self, name: str, one: RegisteredSensor | RegistrationRefused
+    ) -> RegisteredSensor | RegistrationRefused:
+        """Register a refused sensor again from where pairs put it; return the first map that is not refused, else what it was.
 
-
-def _begun_with_pairs(
-    one: RegisteredSensor | RegistrationRefused,
-    again: Callable[[Begin], RegisteredSensor],
-    pairs: np.ndarray,
-    shape: tuple[int, int],
-) -> RegisteredSensor | RegistrationRefused:
-    """Register a refused sensor again from where pairs put it; return the first map that is not refused, else what it was.
-
-    Where there is a map, how many of the pairs agree with it is counted.
-    """
-    if isinstance(one, RegisteredSensor) and (one.placed or not _is_refused(one)):
+        Where there is a map, how many of the pairs agree with it is counted.
+        """
+        shape = self.stack.shape
+        pairs = (self.request.given.get(name) or ManualPoints()).starts
+        if _is_refused(one):
+            for candidate in start_candidates(pairs, shape):
+                other = self.attempt(name, partial(begin_with_pairs, candidate))
+                if not _is_refused(other):
+                    return _counted(other, pairs, shape, used=True)
         return _counted(one, pairs, shape, used=False)
-    for candidate in start_candidates(pairs, shape):
-        try:
-            other = again(partial(begin_with_pairs, candidate))
-        except RegistrationRefused:
-            continue
-        if not _is_refused(other):
-            return _counted(other, pairs, shape, used=True)
-    return _counted(one, pairs, shape, used=False) if isinstance(one, RegisteredSensor) else one
 
 
 def _counted(
-    one: RegisteredSensor, pairs: np.ndarray, shape: tuple[int, int], *, used: bool
-) -> RegisteredSensor:
+    one: RegisteredSensor | RegistrationRefused,
+    pairs: np.ndarray,
+    shape: tuple[int, int],
+    *,
+    used: bool,
+) -> RegisteredSensor | RegistrationRefused:
     """Return a sensor with how many pairs of another program agree with its map."""
-    if not len(pairs) or one.base is None:
+    if isinstance(one, RegistrationRefused) or not len(pairs) or one.base is None:
         return one
     agreeing = int(agreeing_pairs(one.base, pairs, shape).sum())
-    return replace(one, pairs=StartPairs(len(pairs), agreeing, used))
+    return one.knowing(start_pairs={"given": len(pairs), "agreeing": agreeing, "used": used})
 
 
-def _is_refused(sensor: RegisteredSensor) -> bool:
-    """Whether the verdict refuses a sensor's map by itself; the object's share of the layer has no part in that."""
-    return judge_windows({ONLY: _numbers(sensor) | {"object_share": 1.0}}).decision == "refuse"
+def _is_refused(one: RegisteredSensor | RegistrationRefused) -> bool:
+    """Whether there is no map, or the verdict refuses it."""
+    if isinstance(one, RegistrationRefused):
+        return True
+    return one.evidence is not None and judge(Judged({ONLY: one.evidence})).decision == "refuse"
 
 
-def _agreeing(sensor: RegisteredSensor) -> int:
-    return int(sensor.refined.verification["agreeing"]) if sensor.refined else 0
+def _agreeing(one: RegisteredSensor | RegistrationRefused) -> int:
+    """Return how many windows confirm a map, -1 without one."""
+    if isinstance(one, RegistrationRefused):
+        return -1
+    return one.evidence.agreeing if one.evidence else 0
 
 
 def _apart(sensor: RegisteredSensor, declared: Transform, shape: tuple[int, int]) -> float:
@@ -259,27 +260,24 @@ def _assemble(
     mask: dict[str, Any],
     object_share: float,
 ) -> Registration:
-    """Return the registration of a camera with `sensors`, bands in the order of `labels`.
-
-    `object_share` is the share of the layer that shows the object.
-    """
-    numbers = {s.name: _numbers(s) | {"object_share": object_share} for s in sensors}
+    """Return the registration of a camera with `sensors`, bands in the order of `labels`."""
+    placed = {s.name or ONLY: s.placed.to_dict() for s in sensors if s.placed}
+    judged = Judged({s.name or ONLY: s.evidence for s in sensors}, object_share, placed)
     transforms: dict[str, Transform] = {}
     sigma: dict[str, Sigma] = {}
-    others = {s.name: _matches(s) for s in sensors[1:] if s.base is not None}
-    by_hand = all(s.placed for s in sensors)
     for sensor in sensors:
         transforms.update(sensor.transforms)
         sigma.update(sensor.sigma)
+    numbers = zip((s.name for s in sensors), judged.numbers().values(), strict=True)
     return Registration(
-        method="by hand" if by_hand else "levkas",
+        method="by hand" if all(s.placed for s in sensors) else "levkas",
         transforms={label: transforms[label] for label in labels},
-        verdict=judge_windows({name or ONLY: one for name, one in numbers.items()}),
-        errors={"bands": _band_errors(sensors), "sensors": numbers},
+        verdict=judge(judged),
+        errors={"bands": _band_errors(sensors), "sensors": dict(numbers)},
         matches=_matches(sensors[0]),
         model={"kind": "levkas", "mask": mask, "sensors": [_model(s) for s in sensors]},
         sigma={label: sigma[label] for label in labels},
-        others=others,
+        others={s.name: _matches(s) for s in sensors[1:] if s.base is not None},
         basis={"kind": "windows", "sensors": [_basis(s) for s in sensors]},
     )
 
@@ -294,49 +292,7 @@ def _model(sensor: RegisteredSensor) -> dict[str, Any]:
         "mirrored": bool(sensor.initial.mirrored)
         if sensor.initial
         else bool(placed and placed.is_mirrored),
-        "step": found.step if found else 1,
-        "rounds": found.course["rounds"] if found else None,
-        "converged": found.course["converged"] if found else None,
     }
-
-
-def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
-    """Return the evidence on a sensor; of the reference's own, which is registered to nothing, nearly none."""
-    found, initial = sensor.refined, sensor.initial
-    course = found.course if found else {}
-    evidence = found.evidence if found else {}
-    verification = found.verification if found else {}
-    selected = found.selected if found else None
-    placed = {"placed_by_hand": sensor.placed.to_dict()} if sensor.placed else {}
-    return {
-        "held_out_px": selected.held_out_error if selected else None,
-        "window_sigma_px": _window_sigma(selected) if selected else None,
-        "windows": len(selected.weights) if selected else None,
-        "share_above_chance": evidence.get("share_above_chance"),
-        "cover": evidence.get("cover"),
-        "step": found.step if found else 1,
-        "key_points_kept": int(initial.kept.sum()) if initial else None,
-        "key_points": len(initial.kept) if initial else None,
-        "by_outlines": bool(initial and initial.by_outlines),
-        "by_pairs": bool(initial and initial.by_pairs),
-        "start_pairs": sensor.pairs and asdict(sensor.pairs),
-        "rounds": course.get("rounds"),
-        "converged": course.get("converged"),
-        "moved": course.get("moved"),
-        "checked": verification.get("checked"),
-        "alike": bool(found and found.light == "same"),
-        "light": found.light if found else "unknown",
-        "align_apart_px": sensor.apart_px,
-        "terms": selected.spec.coefficients if selected and selected.spec else None,
-        "verification": verification,
-    } | placed
-
-
-def _window_sigma(selected: SelectedModel) -> float | None:
-    """Return the median sigma of the windows' shifts, either axis, reference px; None where none is known."""
-    known = np.trace(selected.observations.information, axis1=1, axis2=2) / 2
-    known = known[known > 0]
-    return float(np.median(known) ** -0.5) if known.size else None
 
 
 def _basis(sensor: RegisteredSensor) -> dict[str, Any]:
@@ -346,8 +302,7 @@ def _basis(sensor: RegisteredSensor) -> dict[str, Any]:
         return {"sensor": sensor.name}
     labels = list(sensor.windows)
     source = labels[0] if len(labels) == 1 else "fused"
-    band, selected = found.course["band"], found.selected
-    windows = describe_windows(sensor.name, source, band, selected, found.checks)
+    windows = describe_windows(sensor.name, source, found.band, found.selected, found.checks)
     lines = sensor.correction.before if sensor.correction else sensor.lines
     return windows | {"lines": lines and lines.drawn()}
 

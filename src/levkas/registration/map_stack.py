@@ -15,8 +15,8 @@ import numpy as np
 from scipy import linalg
 
 from levkas.registration.bands import BandImage
-from levkas.registration.marks import LAPLACIAN
 
+LAPLACIAN = np.outer((1, -2, 1), (1, -2, 1)).astype(np.float32) / 6
 MOST = 8
 """Pictures that are kept; of simulated scans of 6 to 20 maps, 2 to 8 have a signal."""
 LEAST_SIGNAL = 1.5

@@ -8,7 +8,7 @@ the paper leaves them as they are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,15 +29,8 @@ from levkas.registration.record import (
     Verdict,
     refusal,
 )
-from levkas.registration.verdict import judge_matches, worst_of
-from levkas.registration.verification import (
-    Overlap,
-    box_of,
-    measure_shape,
-    measure_support,
-    measure_windows,
-    of_object,
-)
+from levkas.registration.verdict import ONLY, Evidence, Judged, judge
+from levkas.registration.verification import Overlap, box_of, measure_shape, measure_windows
 from levkas.registration.window_matching import SETTINGS as WINDOWS
 from levkas.registration.window_matching import CheckWindows, search_windows
 
@@ -83,7 +76,7 @@ class MatchedSensor:
     transform: Transform
     matches: Matches
     cleaned: Cleaned
-    verdict: Verdict
+    evidence: Evidence
 
 
 def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registration:
@@ -97,7 +90,7 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
     names = list(dict.fromkeys(image.sensor for image in request.target))
     known: dict[str, Transform] = {sensor: Affine.identity()} if request.is_own else {}
     align = {names[0]: Affine.identity()} | read_alignments(request.align)
-    found = {}
+    found, share = {}, area.share_of(request.layer)
     for name in names:
         if name in known:
             continue
@@ -107,7 +100,7 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
         hand = request.given.get(name, ManualPoints())
         found[name] = _register_sensor(
             ours, SensorPicture(*grey(images), None if inside is None else tuple(inside)), options, hand,
-            share=area.share_of(request.layer),
+            share=share,
             mask=area.compared if request.outline is not None else None, declared=declared,
         )  # fmt: skip
         known[name] = found[name].transform
@@ -123,7 +116,7 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
     return Registration(
         method="mirhashemi2019",
         transforms=transforms,
-        verdict=worst_of({name: one.verdict for name, one in found.items()}),
+        verdict=judge(Judged({n or ONLY: one.evidence for n, one in found.items()}, share)),
         errors=_statistics(found[first].matches),
         matches=found[first].matches,
         trace=cleaned.trace,
@@ -182,11 +175,13 @@ def _register_sensor(
         pinned=found.fixed, dropped=found.dropped,
     )  # fmt: skip
     matches, transform = _describe(found, cleaned, terms.stop), Inverse(cleaned.model)
-    numbers = measure(transform, matches, ours, theirs, terms, mask) | {
-        "object_share": share,
-        "align_apart_px": declared and distance_between(transform, declared, ours.values.shape),
-    }
-    return MatchedSensor(transform, matches, cleaned, judge_matches(numbers))
+    apart = declared and distance_between(transform, declared, ours.values.shape)
+    evidence = replace(
+        measure(transform, matches, ours, theirs, terms, mask),
+        object_share=share,
+        align_apart_px=apart,
+    )
+    return MatchedSensor(transform, matches, cleaned, evidence)
 
 
 def scale_only(size: tuple[int, int], target_size: tuple[int, int]) -> Affine:
@@ -288,8 +283,8 @@ def measure(
     theirs: SensorPicture,
     terms: RemovalTerms,
     mask: np.ndarray | None = None,
-) -> dict[str, Any]:
-    """Return the numbers that the rules of the verdict take, by name; `mask`, (h, w) bool, is where the object lies in the reference."""
+) -> Evidence:
+    """Return the evidence on a map; `mask`, (h, w) bool, is where the object lies in the reference."""
     search = search_windows(
         (ours.values, ours.valid), (theirs.values, theirs.valid), transform, region=ours.region
     )
@@ -299,33 +294,24 @@ def measure(
         search.centres, search.shift, search.found, tolerance, WINDOWS.window * search.step
     )
     overlap = Overlap(transform, ours.valid, theirs.valid, ours.region)
-    shape = measure_shape(overlap)
-    if mask is not None:
-        shape["overlap"] = of_object(shape["overlap"], mask, overlap.box)
-    return {
-        "matches": len(matches),
-        "kept": int(matches.kept.sum()),
-        "terms": terms.coefficients,
-        "stop": terms.stop,
-        "tolerance": tolerance,
-        **measure_held_out(matches, terms),
-        **shape,
-        **measure_windows(checks),
-        "second_peak_ratio": float(search.second_peak_ratio),
-        **measure_support(overlap, checks, matches.reference[matches.kept]),
-    }
+    median, worst = measure_held_out(matches, terms)
+    return Evidence(
+        basis="matches",
+        kept=int(matches.kept.sum()),
+        terms=terms.coefficients,
+        held_out_px=median,
+        held_out_p90=worst,
+        second_peak_ratio=float(search.second_peak_ratio),
+        **measure_shape(overlap, mask),
+        **measure_windows(overlap, checks, matches.reference[matches.kept]),
+    )
 
 
-def measure_held_out(matches: Matches, terms: RemovalTerms) -> dict[str, Any]:
-    """Fit without one spatial block of matches at a time and predict those.
+def measure_held_out(matches: Matches, terms: RemovalTerms) -> tuple[float, float]:
+    """Return the median error and that of one in ten of matches, reference px, in blocks that were not fitted; infinite where no fit is possible.
 
     Blocks, not single matches: neighbours err alike, so that single ones left out are no independent
     evidence.
-
-    Returns
-    -------
-    numbers : dict
-        ``held_out_median``, ``held_out_p90``, reference px; infinite where a fit is not possible.
     """
     reference, target = matches.reference[matches.kept], matches.target[matches.kept]
     errors = np.full(len(reference), np.inf)
@@ -336,10 +322,10 @@ def measure_held_out(matches: Matches, terms: RemovalTerms) -> dict[str, Any]:
             model = Polynomial.fit(target[~out], reference[~out], order=terms.order)
             errors[out] = np.linalg.norm(model(target[out]) - reference[out], axis=1)
     if not len(errors):
-        return {"held_out_median": np.inf, "held_out_p90": np.inf}
+        return np.inf, np.inf
     # Order statistics, not interpolation, which is undefined between two infinities.
     middle, high = np.percentile(errors, (50, 90), method="lower")
-    return {"held_out_median": float(middle), "held_out_p90": float(high)}
+    return float(middle), float(high)
 
 
 def _folds(points: np.ndarray) -> np.ndarray:

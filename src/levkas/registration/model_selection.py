@@ -206,6 +206,12 @@ class SelectedModel:
         """All information together, 1/px², by how windows scatter about the model."""
         return _total(self.observations)
 
+    @property
+    def window_sigma(self) -> float | None:
+        """Median sigma of the windows' shifts, either axis, reference px; None where none is known."""
+        known = np.trace(self.observations.information, axis1=1, axis2=2) / 2
+        return float(np.median(known[known > 0]) ** -0.5) if (known > 0).any() else None
+
     def held_out(self) -> np.ndarray:
         """Return how far each window, (n,), reference px, lies from a fit without its block; NaN without one."""
         missed = np.full(len(self.observations), np.nan)

@@ -34,7 +34,6 @@ from levkas.registration.local_shifts import (
     reduce,
     smoothing_warp,
 )
-from levkas.registration.marks import white_noise, whiteness
 from levkas.registration.record import refusal
 
 #: Principal components of reflectance, and of its logarithm; how many of the first are added blurred.
@@ -245,7 +244,6 @@ class ReferenceStack:
         picks = np.linspace(0, len(stack) - 1, min(len(stack), LEAST_BANDS)).astype(int)
         self.has_colours = has_colours([stack[k] for k in picks])
         self._predictors: dict[int, Predictor] = {}
-        self._whiteness: dict[int, float] = {}
         self._lock = RLock()  # sensors are registered side by side
 
     @property
@@ -259,20 +257,6 @@ class ReferenceStack:
             return False
         low, high = min(self._wavelengths) - NEAR_NM, max(self._wavelengths) + NEAR_NM
         return bool(low <= wavelength <= high)
-
-    def principal_image(self, step: int = 1) -> np.ndarray:
-        """Return the first principal image of reflectance on a grid of `step` reference px, (h, w), NaN where invalid."""
-        image = self.palette.images[0]
-        return np.asarray(image if step == 1 else reduce(image, step))
-
-    def whiteness(self, step: int = 1) -> float:
-        """Return the `whiteness` of a camera's noise as it is in `principal_image`."""
-        with self._lock:
-            if step not in self._whiteness:
-                noise = white_noise(self.shape)
-                noise = smoothing_warp(noise, Affine.identity(), self.shape, step=1)
-                self._whiteness[step] = whiteness(noise if step == 1 else reduce(noise, step))
-            return self._whiteness[step]
 
     def release(self) -> None:
         """Free the predictors, which are larger than what they are computed from."""

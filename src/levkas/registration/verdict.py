@@ -2,169 +2,469 @@
 
 A rule that finds a contradiction makes a map doubtful (``"warn"``) or refuses it. Where nothing contradicts a
 map and nothing confirms it either, it is accepted, and the part that was not checked is named and counted: most
-correct maps have such a part, and a warning on most maps would be ignored. `benchmarks/verdict.py classes`
+correct maps have such a part, and a warning on most maps would be ignored. No rule looks at the residuals of matches that
+were kept: the removal of outliers makes those small whether the map is right or not. `benchmarks/verdict.py classes`
 measures how often each class is correct.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import inf, isfinite
+from typing import Any, Literal, NamedTuple
 
+from levkas.core.text import counted
 from levkas.registration.advice import (
+    BY_HAND,
     LEAST_OUTSIDE,
     LOOK,
-    Numbers,
-    checked_share,
+    OTHER,
+    POINTS,
+    REGION,
     describe_placement,
-    object_share,
     percent,
 )
 from levkas.registration.record import Decision, Verdict
-from levkas.registration.verdict_rules import MATCHES, ONLY, RULES, SETTINGS, WINDOWS, Objection
+
+Basis = Literal["windows", "matches"]
+Light = Literal["same", "other", "unknown"]
+Finding = Literal["note", "warn", "refuse"]
+#: Name among the numbers of a sensor without one.
+ONLY = "sensor"
+SCALES = (0.15, 6.7)
+"""Target px per reference px that a camera can have."""
+ALIGN_PX = 3.0
+"""In px of a sensor: from a declared alignment; refocusing moves the sensors of a camera against one another by a px or two."""
+GOOD_STEPS, BAD_PX, BAD_STEPS = 0.25, 1.0, 0.3
+"""Held-out error: px of the compared grid that are a doubt; reference px, and px of the grid, that are refused: where the
+target is coarse, single windows scatter more than the map is off."""
+LEAST_FOUND, LEAST_FOUND_SHARE = 6, 0.05
+"""Check windows that have to be found, in number and as a share."""
+LEAST_OUTLINES, LEAST_OUTLINES_SHARE = 14, 0.75
+"""Large blocks that have to agree by their outlines, in number and as a share, where windows are not recognised."""
+SURE_MATCHES = 10
+"""Matches for each coefficient of a polynomial that make up for missing windows."""
 
 
-def judge_matches(numbers: dict[str, Any]) -> Verdict:
-    """Decide on a map that rests on matches, by the numbers of `mirhashemi2019.measure`."""
-    praise = (
-        f"{numbers['kept']} of {numbers['matches']} matches were kept. {numbers['agreeing']} of the "
-        f"{numbers['found']} check windows that were found agree with the map; their median error is "
-        f"{numbers['window_median']:.2f} px. The held-out error is {numbers['held_out_median']:.2f} px."
+@dataclass(frozen=True)
+class Evidence:
+    """What is known of the map of one sensor, complete before it is judged; distances in reference px, shares 0..1."""
+
+    basis: Basis
+    """What the map was fitted to."""
+    kept: int
+    """Matches, or key points of the start, that agree with the map."""
+    terms: int
+    """Coefficients of the map, of x and y each."""
+    held_out_px: float
+    """Error in blocks to which the map was not fitted; infinite where too little was left to fit."""
+    overlap: float
+    """Share of the object that the target shows."""
+    folded: float
+    """Share of the overlap where the map has no or a flipped Jacobian."""
+    mirrored: bool
+    tolerance: float
+    windows: int
+    found: int
+    agreeing: int
+    """`windows`, `found`, `agreeing`: check windows, those that are recognised beyond chance, and those of these within twice the
+    `tolerance` of where the map puts them."""
+    window_median: float
+    """How far the found ones are off, infinite without any."""
+    second_peak_ratio: float
+    """Correlation of the pictures at the best place elsewhere, relative to here."""
+    box: tuple[float, ...]
+    """(x, y, width, height) of what is judged."""
+    coverage: float
+    """Of the cells that both pictures show and that have structure, the share that is confirmed."""
+    off_share: float
+    """Of these cells, the share that windows contradict."""
+    unsupported: list[list[float]]
+    off: list[list[float]]
+    """`unsupported`, `off`: cells, (x, y, width, height), where nothing confirms the map, and where windows contradict it."""
+    checked: float
+    """Of what both pictures show, the share no farther than a window's side from windows that confirm the map."""
+    unchecked: list[list[float]]
+    """Rectangles about the largest parts of the rest, each with its share at the end."""
+    scale_min: float = 1.0
+    scale_max: float = 1.0
+    """`scale_min`, `scale_max`: target px per reference px."""
+    area_ratio: float = 1.0
+    """Largest to smallest local area."""
+    anisotropy: float = 1.0
+    """Largest ratio of the two principal scales."""
+    step: int = 1
+    """Reference px per px of the grid on which it was judged."""
+    scales: tuple[float, float] = SCALES
+    """Least and largest scale of a plausible map; maps of one scan may be coarser."""
+    object_share: float = 1.0
+    """Share of the layer that shows the object."""
+    held_out_p90: float | None = None
+    """Of matches: error that one in ten exceeds."""
+    window_sigma_px: float | None = None
+    """Median sigma of the shifts of single windows, either axis."""
+    fitted_windows: int | None = None
+    share_above_chance: float | None = None
+    """Of those windows, the share that matches better than 19 of 20 unrelated ones."""
+    cover: float | None = None
+    """Share of the reference's windows that could be compared."""
+    begun: Literal["key points", "outlines", "pairs"] = "key points"
+    key_points: int | None = None
+    rounds: int | None = None
+    converged: bool = True
+    moved: float = 0.0
+    """By which the last round moved the map, the median over windows."""
+    light: Light = "unknown"
+    """Whether the band by which the map was judged sees light that the reference sees too."""
+    align_apart_px: float | None = None
+    """How far the map lies from a declared alignment, px of the sensor."""
+    start_pairs: dict[str, Any] | None = None
+    """How many pairs of another program agree with the map."""
+    outlines: dict[str, float] | None = None
+    """Large blocks compared by their outlines, where windows say little: how many, ``agreeing``, within ``px``."""
+    line_displacement: dict[str, Any] | None = None
+    line_correction: dict[str, Any] | None = None
+    """How single lines lie beside the map, and those that it follows."""
+
+    @property
+    def confirmed(self) -> float:
+        """Share of the layer where windows or matches confirm the map."""
+        return self.seen * min(self.checked, max(self.coverage, 0.0))
+
+    @property
+    def seen(self) -> float:
+        """Share of the layer in which the camera shows the object."""
+        return self.object_share * self.overlap
+
+    @property
+    def agree_by_outlines(self) -> bool:
+        """Whether enough blocks lie where the map puts them, in number and as a share."""
+        found = self.outlines
+        return found is not None and found["agreeing"] >= max(
+            LEAST_OUTLINES, LEAST_OUTLINES_SHARE * found["blocks"]
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers of a record; ``alike`` says that pictures may be compared by likeness (SSIM)."""
+        return asdict(self) | {"alike": self.light == "same"}
+
+
+# --- rules
+
+
+class Rule(NamedTuple):
+    """One number of the evidence, the larger the worse, with the limits above which it is noted, doubted, refused."""
+
+    name: str
+    number: Callable[[Evidence], float]
+    note: float
+    warn: float
+    refuse: float
+    sentence: Callable[[Evidence], str]
+    doubted: str = LOOK
+    refused: str = BY_HAND
+    noted: str = ""
+    """`doubted`, `refused`, `noted`: what to do then."""
+    on: tuple[Basis, ...] = ("windows", "matches")
+    lacks_evidence: bool = False
+    """Whether nothing contradicts the map, and little could be compared."""
+
+
+class Objection(NamedTuple):
+    """One rule's objection to a registration."""
+
+    decision: Finding
+    reason: str
+    next_step: str
+    lacks_evidence: bool = False
+
+
+def _places(cells: Sequence[Sequence[float]]) -> str:
+    """Return the first four of (x, y, width, height) as text."""
+    where = "; ".join(", ".join(f"{v:.0f}" for v in cell[:4]) for cell in cells[:4])
+    return f"(x, y, width, height: {where}{'; …' if len(cells) > 4 else ''})"
+
+
+def _lines(e: Evidence) -> float:
+    """Return by how much lines are displaced, and neighbours apart that the map follows, px of the grid; -1 where none are."""
+    lines, followed, found = e.line_displacement, e.line_correction, [-1.0]
+    if lines and lines["displaced"]:
+        # Of maps of a scan a line is known to lie up to a third of a px aside.
+        size = lines["rms_px"] / lines["step"]
+        found.append(size if e.scales == SCALES or size > 1 else 0.28 * size)
+    if followed:
+        found.append(followed["uneven_px"] / followed["before"]["step"])
+    return max(found)
+
+
+def _describe_lines(e: Evidence) -> str:
+    lines, followed = e.line_displacement, e.line_correction
+    texts = []
+    if followed:
+        texts.append(
+            f"{_displaced(followed['before'])} The registration follows them, to {followed['error_px']:.2f} px"
+            + (
+                f"; a place between two of them shows both, {followed['uneven_px']:.2f} px (root mean square) to either side."
+                if followed["uneven_px"] > followed["error_px"]
+                else "."
+            )
+        )
+    if lines and lines["displaced"]:
+        texts.append(_displaced(lines))
+    return " ".join(texts)
+
+
+def _displaced(numbers: Mapping[str, Any]) -> str:
+    line = "line" if numbers["lines"] == "rows" else "column"
+    return (
+        f"The {line}s are displaced against one another: {numbers['rms_px']:.2f} px (root mean square), "
+        f"{numbers['largest_px']:.2f} px at most."
     )
-    objections = objections_to(numbers, MATCHES)
-    objections += _outside_of_outline(1 - object_share(numbers))
-    verdict = _decide(objections, (praise,), numbers, _unchecked(numbers))
-    return replace(verdict, outside=1 - object_share(numbers))
 
 
-def judge_windows(numbers: Mapping[str, Numbers]) -> Verdict:
-    """Decide on a map that rests on windows; the sensor with the worst evidence decides.
+def _unsure_start(e: Evidence) -> float:
+    return 0.0 if e.begun == "key points" else 1 - e.agreeing / max(e.windows, 1)
 
-    Parameters
-    ----------
-    numbers : mapping of a sensor's name to its numbers
-        As `Verdict.numbers` holds them. The reference's own sensor, which is registered to nothing,
-        is not judged.
-    """
-    judged = {name: n for name, n in numbers.items() if n["held_out_px"] is not None}
-    objections = [
-        replace(one, reason=_where(name) + one.reason)
-        for name, n in judged.items()
-        for one in objections_to({"kept": n["key_points_kept"], **n, **n["verification"]}, WINDOWS)
-    ]
-    praise = (_where(name) + _praise(n) for name, n in judged.items())
-    unchecked = max((_unchecked({**n, **n["verification"]}) for n in judged.values()), default=0.0)
-    outside = max((1 - object_share(n) for n in numbers.values()), default=0.0)
-    objections += _outside_of_outline(outside if judged else 0.0)
-    verdict = _decide(objections, tuple(praise), dict(numbers), unchecked)
-    verdict = replace(verdict, outside=outside)
-    placed = {name: n["placed_by_hand"] for name, n in numbers.items() if "placed_by_hand" in n}
-    if not placed or verdict.decision == "refuse":
-        return verdict
-    reasons = tuple(_where(name) + _describe_pairs(one) for name, one in placed.items())
-    return replace(
-        verdict,
-        decision="by hand",
-        reasons=reasons + verdict.reasons,
-        next_step=LOOK,
-        unchecked=1.0,
+
+def _held_out(e: Evidence) -> float:
+    """Return the held-out error over the one that is refused; 0 where it is small, or the noise of single windows explains it."""
+    error = e.held_out_px
+    if e.basis == "matches":
+        scattered = (e.held_out_p90 or 0.0) > 3 * e.tolerance
+        return error / e.tolerance if scattered or error > e.tolerance else 0.0
+    noise = error < min(BAD_PX, e.window_sigma_px or 0.0)
+    if error < GOOD_STEPS * e.step or noise or not isfinite(error):
+        return 0.0
+    return error / max(BAD_PX, BAD_STEPS * e.step)
+
+
+def _few_found(e: Evidence) -> float:
+    """Return 1 where too few windows are found, 0.5 where many matches make up for that."""
+    if e.found >= max(LEAST_FOUND, LEAST_FOUND_SHARE * e.windows):
+        return 0.0
+    return 0.5 if e.kept >= SURE_MATCHES * e.terms else 1.0
+
+
+def _disagreeing(e: Evidence) -> float:
+    """Return the share of the found windows that do not agree, 1 where their median error exceeds the tolerance."""
+    if _few_found(e):
+        return 0.0
+    return 1.0 if e.window_median > e.tolerance else 1 - e.agreeing / max(e.found, 1)
+
+
+def _extrapolated(e: Evidence) -> str:
+    *box, part = e.unchecked[0]
+    text = (
+        f"The held-out error is {e.held_out_px:.2f} px over the {percent(e.confirmed)} of the layer that was checked"
+        if isfinite(e.held_out_px)
+        else f"Only {percent(e.confirmed)} of the layer was checked"
     )
+    return f"{text}. In {percent(part * e.seen)} of the layer the map is extrapolated {_places([box])}."
 
 
-def worst_of(verdicts: Mapping[str, Verdict]) -> Verdict:
-    """Return the verdict on a camera by those on its sensors: the worst decision, with the reasons of all that have it."""
-    if len(verdicts) == 1:
-        return next(iter(verdicts.values()))
-    worst = max((v.decision for v in verdicts.values()), key=("accept", "warn", "refuse").index)
-    chosen = {name: v for name, v in verdicts.items() if v.decision == worst}
-    return Verdict(
-        worst,
-        tuple(_where(name) + reason for name, one in chosen.items() for reason in one.reasons),
-        next(iter(chosen.values())).next_step,
-        {name: one.numbers for name, one in verdicts.items()},
-        max(one.unchecked for one in verdicts.values()),
-        max(one.outside for one in verdicts.values()),
-    )
+UNEVEN = (
+    "A scan that moved unevenly does this, lost lines, interlaced halves, and a program that bent or turned the picture by "
+    "whole pixels: use the file as the camera wrote it, or capture it again."
+)
+BENT = f"{OTHER}; an object that was bent or cut between the captures has no single map."
+TILTED = f"{OTHER}; if the camera was strongly tilted, set it up again."
+
+RULES = (
+    Rule("lines", _lines, -0.5, 0.1, 1.0, _describe_lines, UNEVEN, UNEVEN),
+    Rule(
+        "matches", lambda e: 4 - e.kept / e.terms, inf, inf, 0.0,
+        lambda e: f"Only {e.kept} matches were kept for a map with {e.terms} coefficients for each of x and y.",
+        refused=f"{OTHER}; if they do, raise `reject` or try the method `levkas`.", on=("matches",),
+    ),
+    Rule(
+        "start", _unsure_start, inf, 0.25, inf,
+        lambda e: f"No key points match between the two pictures. The search started from {e.begun} alone.", on=("windows",),
+    ),
+    Rule(
+        "chance", lambda e: 1 - (e.share_above_chance or 0.0), inf, 0.5, 0.8,
+        lambda e: f"Only {percent(e.share_above_chance or 0.0)} of the windows match better than unrelated places do (permutation test, 95 % limit).",
+        on=("windows",), lacks_evidence=True,
+    ),
+    Rule(
+        "held out", lambda e: float(not isfinite(e.held_out_px)), inf, inf, 0.5,
+        lambda e: "Too little was found to measure a held-out error.", lacks_evidence=True,
+    ),
+    Rule(
+        "held-out error", _held_out, inf, 0.0, 1.0,
+        lambda e: f"The held-out error is {e.held_out_px:.2f} px: no single map fits everywhere.", refused=BENT,
+    ),
+    Rule(
+        "fold", lambda e: e.folded if e.overlap else 1.0, inf, inf, 0.0,
+        lambda e: f"The map folds or is undefined in {percent(e.folded)} of the overlap."
+        if e.overlap else "The map places the whole reference outside the other picture.",
+    ),
+    Rule(
+        "scale", lambda e: max(e.scales[0] / e.scale_min, e.scale_max / e.scales[1]), inf, inf, 1.0,
+        lambda e: f"The scale of the map is {e.scale_min:.3g} to {e.scale_max:.3g}; a camera gives {e.scales[0]:g} to {e.scales[1]:g}.",
+    ),
+    Rule(
+        "stretch", lambda e: e.anisotropy, inf, 1.5, 2.0,
+        lambda e: f"The map stretches one direction {e.anisotropy:.2f} times as much as the other.", refused=TILTED,
+    ),
+    Rule(
+        "area", lambda e: e.area_ratio, inf, 1.8, 3.0,
+        lambda e: f"The scale of area varies by a factor of {e.area_ratio:.2f}.", refused=TILTED,
+    ),
+    Rule(
+        "found", _few_found, inf, 0.4, 0.9,
+        lambda e: f"Only {e.found} of {e.windows} check windows were found: too few to check the map.", lacks_evidence=True,
+    ),
+    Rule(
+        "agree", _disagreeing, inf, inf, 0.4,
+        lambda e: f"Only {e.agreeing} of the {e.found} check windows that were found agree with the map; the median error is {e.window_median:.1f} px.",
+    ),
+    Rule(
+        "elsewhere", lambda e: e.second_peak_ratio, inf, 0.85, 0.95,
+        lambda e: f"The pictures agree {100 * e.second_peak_ratio:.0f} % as well at another shift: the pattern repeats, or the map is in the wrong place.",
+        "Choose a `region` with detail that does not repeat.",
+        f"Choose a `region` with detail that does not repeat, or {POINTS}.",
+    ),
+    Rule(
+        "overlap", lambda e: 1 - e.overlap, 0.2, inf, 0.9,
+        lambda e: f"This camera has no data in {percent(e.object_share - e.seen)} of the layer.",
+        refused=f"{OTHER}; if this camera shows only a part of it, capture the rest too.",
+        noted="Do not use the layer where this camera has no data.",
+    ),
+    Rule(
+        "off", lambda e: e.off_share, inf, 0.0, 0.2,
+        lambda e: f"The map is wrong in {percent(e.off_share * e.seen)} of the layer {_places(e.off)}.", REGION,
+    ),
+    Rule(
+        "coverage", lambda e: 1 - e.coverage, 0.1, 0.25, 0.85,
+        lambda e: f"The map was not checked in {percent((1 - e.coverage) * e.seen)} of the layer {_places(e.unsupported)}.",
+        REGION, noted=REGION, on=("windows",), lacks_evidence=True,
+    ),
+    Rule(
+        "coverage by matches", lambda e: 1 - e.coverage, 0.1, 0.25, 0.4,
+        lambda e: f"The map was not checked in {percent((1 - e.coverage) * e.seen)} of the layer {_places(e.unsupported)}.",
+        REGION, noted=REGION, on=("matches",),
+    ),
+    Rule(
+        "checked", lambda e: 1 - e.checked if e.unchecked else 0.0, inf, 0.25, inf, _extrapolated, REGION, on=("windows",),
+    ),
+    Rule(
+        "align", lambda e: e.align_apart_px or 0.0, inf, ALIGN_PX, inf,
+        lambda e: f"The sensor lies {e.align_apart_px:.1f} of its px from where the declared `align` puts it.",
+        "Correct this sensor's `align` in campaign.toml, or take it out to have it measured.",
+    ),
+    Rule(
+        "compared", lambda e: 1 - (1.0 if e.cover is None else e.cover), 0.5, inf, inf,
+        lambda e: f"Only {percent(e.cover or 0.0)} of the reference's windows were compared.", noted=LOOK,
+    ),
+    Rule(
+        "converged", lambda e: float(not e.converged), inf, 0.5, inf,
+        lambda e: f"The map did not converge in {e.rounds} rounds: the last round moved it by {e.moved:.2f} px.",
+    ),
+)  # fmt: skip
+"""In the order of their reasons. `lines`: honest pictures have 0.04 px at most that is more than chance. `held-out error`: 0.6 to
+1.05 of the windows' sigma on right maps of infrared pictures, 0.8 to 11 on maps that are wrong somewhere."""
 
 
-def _decide(
-    objections: Sequence[Objection],
-    praise: tuple[str, ...],
-    numbers: dict[str, Any],
-    unchecked: float,
-) -> Verdict:
-    """Refuse where one rule refuses; the next step is that of the first rule of the decision.
-
-    Accepted and doubtful maps list what was not checked, after the reasons for the decision.
-    """
-    kinds: tuple[Decision, ...] = ("refuse", "warn")
-    found = (k for k in kinds if any(one.decision == k for one in objections))
-    decision: Decision = next(found, "accept")
-    deciding = [one for one in objections if one.decision == decision]
-    open_ones = [one for one in objections if one.decision == "unchecked"]
-    listed = deciding if decision == "refuse" else [*deciding, *open_ones]
-    reasons = (*(() if deciding else praise), *(one.reason for one in listed))
-    steps = (one.next_step for one in deciding or open_ones if deciding or one.next_step)
-    return Verdict(decision, reasons, next(steps, ""), numbers, unchecked)
-
-
-def objections_to(numbers: Numbers, basis: frozenset[str]) -> list[Objection]:
-    """Return the objections of the rules on maps that rest on `basis`, in the order of the rules.
+def objections_to(evidence: Evidence) -> list[Objection]:
+    """Return the objections of the rules to a map, in their order.
 
     Where little could be compared window by window, and outlines agree all over, want of evidence makes a
     map doubtful only.
     """
-    found = [one for rule, on in RULES.items() if basis <= on and (one := rule(numbers))]
-    lacking = [one for one in found if one.lacks_evidence and one.decision == "refuse"]
-    outlines = numbers.get("outlines")
-    if not lacking or not outlines or not _agree(outlines):
-        return found
-    text = (
-        f"The outlines of {outlines['agreeing']} of {outlines['blocks']} large blocks agree with the map "
-        f"within {outlines['px']:.1f} px. A finer check was not possible."
+    found = []
+    for rule in RULES:
+        number = rule.number(evidence) if evidence.basis in rule.on else -inf
+        for decision, limit, step in (
+            ("refuse", rule.refuse, rule.refused),
+            ("warn", rule.warn, rule.doubted),
+            ("note", rule.note, rule.noted),
+        ):
+            if number > limit:
+                by_outlines = rule.lacks_evidence and evidence.agree_by_outlines
+                kind: Finding = "warn" if decision == "refuse" and by_outlines else decision  # type: ignore[assignment]
+                found.append(Objection(kind, rule.sentence(evidence), step, rule.lacks_evidence))
+                break
+    outlines = evidence.outlines
+    if outlines and evidence.agree_by_outlines and any(one.lacks_evidence for one in found):
+        text = (
+            f"The outlines of {outlines['agreeing']} of {outlines['blocks']} large blocks agree with the map "
+            f"within {outlines['px']:.1f} px. A finer check was not possible."
+        )
+        return [Objection("warn", text, LOOK), *found]
+    return found
+
+
+# --- the decision
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a verdict rests on: the evidence on each sensor, None of one that is registered to nothing, and pairs of a person."""
+
+    evidence: Mapping[str, Evidence | None]
+    object_share: float = 1.0
+    placed: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+    """Sensors that were placed by hand, by `PlacedByHand.to_dict`."""
+
+    def numbers(self) -> dict[str, dict[str, Any]]:
+        """Return the numbers of a record, by sensor."""
+        nothing = {"held_out_px": None, "alike": False}
+        placed = {name: {"placed_by_hand": one} for name, one in self.placed.items()}
+        return {
+            name: (nothing if one is None else one.to_dict()) | placed.get(name, {})
+            for name, one in self.evidence.items()
+        }
+
+
+def judge(judged: Judged) -> Verdict:
+    """Decide on a camera: the sensor with the worst evidence decides; one that a person placed is neither accepted nor refused."""
+    known = {name: one for name, one in judged.evidence.items() if one is not None}
+    objections = [
+        one._replace(reason=_where(name) + one.reason)
+        for name, evidence in known.items()
+        for one in objections_to(evidence)
+    ]
+    outside = 1 - judged.object_share
+    if known and outside >= LEAST_OUTSIDE:
+        text = f"{percent(outside)} of the layer lies outside the object's outline and was not checked."
+        objections.append(Objection("note", text, ""))
+    decisions = {one.decision for one in objections}
+    decision: Decision = (
+        "refuse" if "refuse" in decisions else "warn" if "warn" in decisions else "accept"
     )
-    doubted = [replace(one, decision="warn") if one in lacking else one for one in found]
-    return [Objection("warn", text, LOOK), *doubted]
-
-
-def _agree(outlines: Numbers) -> bool:
-    """Whether enough blocks lie where the map puts them, in number and as a share."""
-    least = max(SETTINGS.least_outlines, SETTINGS.least_outlines_share * outlines["blocks"])
-    return bool(outlines["agreeing"] >= least)
-
-
-def _unchecked(n: Numbers) -> float:
-    """Return the share of the layer that does not show the object, or where nothing confirms the map."""
-    return 1 - checked_share(n)
-
-
-def _outside_of_outline(outside: float) -> list[Objection]:
-    """Say, once for all sensors, how much of the layer lies outside the object's outline; that requires nothing."""
-    if outside < LEAST_OUTSIDE:
-        return []
-    text = f"{percent(outside)} of the layer lies outside the object's outline and was not checked."
-    return [Objection("unchecked", text, "")]
+    deciding = [one for one in objections if one.decision == decision]
+    open_ones = [one for one in objections if one.decision == "note"]
+    praise = () if deciding else [_where(name) + _praise(one) for name, one in known.items()]
+    listed = deciding if decision == "refuse" else [*deciding, *open_ones]
+    reasons = (*praise, *(one.reason for one in listed))
+    steps = (one.next_step for one in deciding or open_ones if deciding or one.next_step)
+    step, unchecked = (
+        next(steps, ""),
+        max((1 - one.confirmed for one in known.values()), default=0.0),
+    )
+    if judged.placed and decision != "refuse":
+        labels = [_where(name) + _describe_pairs(one) for name, one in judged.placed.items()]
+        decision, reasons, step, unchecked = "by hand", (*labels, *reasons), LOOK, 1.0
+    return Verdict(decision, reasons, step, judged.numbers(), unchecked, outside)
 
 
 def _where(name: str) -> str:
     return "" if name == ONLY else f"sensor {name}: "
 
 
-def _describe_pairs(placed: Numbers) -> str:
+def _describe_pairs(placed: Mapping[str, Any]) -> str:
     """Return the label of a sensor that was placed by hand, and on which pairs its map rests."""
     label = describe_placement(placed)
-    text = f"{label[0].upper()}{label[1:]}. The {placed['model']} rests on {placed['pairs']} pairs"
+    text = f"{label[0].upper()}{label[1:]}. The {placed['model']} rests on {counted(placed['pairs'], 'pair')}"
     if placed["worst"] is None:
         return f"{text}; a fifth would show how far they are off."
     x, y, error = placed["worst"]
     return f"{text}; the worst, at {x:.0f}, {y:.0f} of the reference, lies {error:.1f} px from a map of the others."
 
 
-def _praise(numbers: Numbers) -> str:
-    n = numbers["verification"]
+def _praise(e: Evidence) -> str:
     return (
-        f"{n.get('agreeing', 0)} of the {n.get('found', 0)} check windows that were found agree with the map. "
-        f"The held-out error is {numbers['held_out_px']:.2f} px over the {percent(checked_share({**numbers, **n}))} of the "
-        f"layer that was checked."
+        f"{e.agreeing} of the {e.found} check windows that were found agree with the map. The held-out error is "
+        f"{e.held_out_px:.2f} px over the {percent(e.confirmed)} of the layer that was checked."
     )

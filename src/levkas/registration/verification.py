@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from levkas.registration.foreground import corners_of
 from levkas.registration.predictors import measure_shifts
 from levkas.registration.window_fusion import has_information
 from levkas.registration.window_matching import SETTINGS as WINDOWS
-from levkas.registration.window_matching import CheckWindows, WindowSearch, search_windows
+from levkas.registration.window_matching import CheckWindows, search_windows
 
 if TYPE_CHECKING:
     from levkas.registration.local_shifts import Predictor, WindowShifts
@@ -31,37 +31,21 @@ if TYPE_CHECKING:
 Box = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True)
-class VerificationSettings:
-    """Constants of the verification."""
-
-    grid: tuple[int, int] = (24, 18)
-    """Points over the object at which the shape of a map is measured."""
-    cells: tuple[int, int] = (6, 5)
-    """Cells of the object in which windows have to confirm a map."""
-    fine_per_cell: int = 4
-    fine_least: int = 8
-    """`fine_per_cell`, `fine_least`: points along either side of a cell, and how many of them both pictures have to show for
-    the cell to count as shown."""
-    most_unchecked: int = 4
-    """Rectangles of unchecked parts that are recorded."""
-    least_found: int = 3
-    """Windows of a cell that have to be found for the cell to be off."""
-    block: int = 80
-    """In px: side of the blocks in which a picture is predicted: what their gains could feign in a window of 40 px is little
-    beside chance."""
-    ridge: float = 1e-3
-    """Of that prediction, as a share of the mean variance."""
-    null_quantile: float = 0.95
-    """Of unrelated windows."""
-
-    @property
-    def fine(self) -> tuple[int, int]:
-        """Points over the object at which the overlap is measured."""
-        return self.fine_per_cell * self.cells[0], self.fine_per_cell * self.cells[1]
-
-
-SETTINGS = VerificationSettings()
+GRID = (24, 18)
+"""Points over the object at which the shape of a map is measured."""
+CELLS = (6, 5)
+"""Cells of the object in which windows have to confirm a map."""
+FINE, FINE_LEAST = (24, 20), 8
+"""Points over the object, four along either side of a cell, at which the overlap is measured; of a cell so many have to be shown."""
+MOST_UNCHECKED = 4
+"""Rectangles of unchecked parts that are recorded."""
+LEAST_OFF = 3
+"""Windows of a cell that contradict the map alike, for the cell to be off."""
+BLOCK, RIDGE = 80, 1e-3
+"""Side, px, of the blocks in which a picture is predicted: what their gains could feign in a window of 40 px is little beside
+chance. The ridge is a share of the mean variance."""
+PARTLY = 0.8
+"""Share of the windows; where fewer are predicted beyond chance, something covers the object."""
 
 
 # --- permutation test
@@ -71,22 +55,21 @@ SETTINGS = VerificationSettings()
 class PermutationTest:
     """Share of one band's windows that are predicted beyond chance, on a grid about as fine as its picture."""
 
-    #: Share of the windows; where fewer are predicted beyond chance, something covers the object.
-    PARTLY: ClassVar[float] = 0.8
-
     shifts: WindowShifts
     """Through the map that is judged."""
     chance: float
     """0..1. Value of `shifts.r2` that 19 of 20 unrelated windows stay below."""
-    evidence: dict[str, float]
-    """``share_above_chance`` of the windows, ``cover`` of the reference."""
+    share: float
+    """Of the windows, predicted beyond chance."""
+    cover: float
+    """Share of the reference's windows that could be compared."""
 
     @property
     def is_partly_covered(self) -> bool:
         """Whether windows that chance explains lie together: something covers the object."""
         used = has_information(self.shifts.information)
         predicted = self.is_predicted_around(self.shifts.centres)[used]
-        return bool(predicted.sum() <= self.PARTLY * used.sum())
+        return bool(predicted.sum() <= PARTLY * used.sum())
 
     @property
     def predicted(self) -> np.ndarray:
@@ -120,12 +103,9 @@ def run_permutation_test(predictor: Predictor, images: Sequence[np.ndarray]) -> 
         ]
     )
     null = by_chance.r2[has_information(by_chance.information)]
-    level = float(np.quantile(null, SETTINGS.null_quantile)) if len(null) >= 10 else 0.5
-    evidence = {
-        "share_above_chance": float((shifts.r2[used] > level).mean()) if used.any() else 0.0,
-        "cover": float(used.sum() / max(able.sum(), 1)),
-    }
-    return PermutationTest(shifts, level, evidence)
+    level = float(np.quantile(null, 0.95)) if len(null) >= 10 else 0.5
+    share = float((shifts.r2[used] > level).mean()) if used.any() else 0.0
+    return PermutationTest(shifts, level, share, float(used.sum() / max(able.sum(), 1)))
 
 
 def _mean_shifts(shifts: Sequence[WindowShifts]) -> WindowShifts:
@@ -149,51 +129,29 @@ def verify(
     predicted_at: np.ndarray | None = None,
     cell: float = 0.0,
 ) -> tuple[dict[str, Any], CheckWindows]:
-    """Measure what the verdict on a dense map rests on.
+    """Return the fields of `verdict.Evidence` that check windows and the shape of a dense map give, and the windows.
 
-    Parameters
-    ----------
-    predictors : ndarray, (k, h, w), float32
-        Images of the reference on a grid of `step` reference px, high-passed; NaN where invalid.
-    image : ndarray, (h, w) or (n, h, w), float32
-        The band on the same grid, resampled through `transform`, high-passed too; or several pictures with one map.
-    step : int, reference px
-    transform : Transform
-        Reference px → native px of the band.
-    mask : ndarray of bool, reference px
-        Where the object lies.
-    valid : ndarray of bool, native px
-    predicted_at : ndarray, (n, 2), reference px, optional
-        Windows of the dense registration that are predicted beyond chance, `cell` px apart.
-    cell : float, reference px
-
-    Returns
-    -------
-    numbers : dict
-        Of `measure_shape`, `measure_windows` and `measure_cells`, ``tolerance``, reference px, and ``second_peak_ratio``.
-    checks : CheckWindows
-        The windows themselves.
+    `predictors`, (k, h, w), are images of the reference on a grid of `step` reference px, `image`, (h, w), or (n, h, w) of pictures
+    with one map, the band through `transform` on the same grid, all high-passed, NaN where invalid. The object lies in `mask`,
+    reference px, and the band has values at `valid`, native px. Windows of the dense registration `predicted_at`, (n, 2), beyond
+    chance are `cell` reference px apart.
     """
     planes = image if image.ndim == 3 else image[None]
     predicted = np.stack([predict(predictors, plane) for plane in planes])
     both = [(np.nan_to_num(a), np.isfinite(a).all(0)) for a in (predicted, planes)]
-    found = search_windows(both[0], both[1], Affine.identity())
-    search = _enlarged(found, step)
-    overlap = Overlap(transform, mask, valid, box_of(mask))
-    tolerance, outline = max(1.0, search.step), corners_of(mask)
+    search = search_windows(both[0], both[1], Affine.identity())
+    far, outline = search.step * step, corners_of(mask)
     checks = CheckWindows(
-        search.centres, search.shift, search.found, tolerance, WINDOWS.window * search.step,
+        (search.centres + 0.5) * step - 0.5, search.shift * step, search.found, max(1.0, far), WINDOWS.window * far,
         predicted_at, cell, outline if len(outline) > 2 else None,
     )  # fmt: skip
+    overlap = Overlap(transform, mask, valid, box_of(mask))
+    # A cell is confirmed by the windows there, not by one key point that agrees.
     numbers = {
-        "tolerance": tolerance,
-        **measure_shape(overlap),
-        **measure_windows(checks),
+        **measure_shape(overlap, mask),
+        **measure_windows(overlap, checks, np.empty((0, 2))),
         "second_peak_ratio": float(search.second_peak_ratio),
-        # A cell is confirmed by the windows there, not by one key point that agrees.
-        **measure_support(overlap, checks, np.empty((0, 2))),
     }
-    numbers["overlap"] = of_object(numbers["overlap"], mask, overlap.box)
     return numbers, checks
 
 
@@ -203,17 +161,6 @@ def box_of(mask: np.ndarray) -> Box | None:
     if not len(rows):
         return None
     return float(columns[0]), float(rows[0]), float(np.ptp(columns) + 1), float(np.ptp(rows) + 1)
-
-
-def of_object(share: float, mask: np.ndarray, box: Box) -> float:
-    """Return a share of a box as one of the mask in it, at most 1.
-
-    >>> of_object(0.25, np.array([[True, False], [True, False]]), (0, 0, 2, 2))
-    0.5
-    """
-    x, y, width, height = (int(v) for v in box)
-    part = mask[y : y + height, x : x + width]
-    return min(1.0, share / max(float(part.mean()) if part.size else 1.0, 1e-9))
 
 
 def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:
@@ -230,8 +177,7 @@ def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:
     count, height, width = predictors.shape
     out = np.full((height, width), np.nan, np.float32)
     rows, columns = (
-        np.linspace(0, n, max(1, round(n / SETTINGS.block)) + 1).astype(int)
-        for n in (height, width)
+        np.linspace(0, n, max(1, round(n / BLOCK)) + 1).astype(int) for n in (height, width)
     )
 
     def fill(top: int, bottom: int, left: int, right: int) -> None:
@@ -243,7 +189,7 @@ def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:
             return
         shown = part if used.all() else part[:, used]
         gram = shown @ shown.T
-        gram += SETTINGS.ridge * np.trace(gram) / count * np.eye(count) + 1e-30 * np.eye(count)
+        gram += RIDGE * np.trace(gram) / count * np.eye(count) + 1e-30 * np.eye(count)
         gains = np.linalg.solve(gram, shown @ goal[used])
         block = np.where(known, gains @ part, np.nan)
         out[top:bottom, left:right] = block.reshape(bottom - top, right - left)
@@ -263,16 +209,6 @@ def coarsening(shape: tuple[int, int], step: int) -> int:
     while max(shape) / (step * more) > 1.25 * WINDOWS.long_side:
         more *= 2
     return more
-
-
-def _enlarged(search: WindowSearch, step: int) -> WindowSearch:
-    """Turn px of a grid of `step` reference px into reference px."""
-    return replace(
-        search,
-        centres=(search.centres + 0.5) * step - 0.5,
-        shift=search.shift * step,
-        step=search.step * step,
-    )
 
 
 # --- shape and coverage
@@ -312,40 +248,25 @@ class Overlap:
         return good
 
 
-def measure_shape(overlap: Overlap) -> dict[str, Any]:
-    """Measure the shape of a map over its overlap: scale, folds, stretch.
+def measure_shape(overlap: Overlap, mask: np.ndarray | None = None) -> dict[str, Any]:
+    """Return the fields of `verdict.Evidence` on the shape of a map: overlap, folds, scale, stretch.
 
-    Returns
-    -------
-    numbers : dict
-        ``overlap`` 0..1, the share of the box that the target shows; within that share
-        ``folded`` 0..1, the part where the map has no or a flipped Jacobian; ``scale_min`` and
-        ``scale_max``, target px per reference px; ``area_ratio``, largest to smallest local area;
-        ``anisotropy``, largest ratio of the two principal scales; ``mirrored``.
+    The overlap is a share of the box, or of `mask`, (h, w) bool, in it, at most 1.
     """
-    points = grid_points(overlap.box, SETTINGS.grid)
+    points, transform = grid_points(overlap.box, GRID), overlap.transform
     inside = overlap.shows(points)
-    return {"overlap": float(inside.mean()), **measure_map(overlap.transform, points, inside)}
-
-
-def measure_map(transform: Transform, points: np.ndarray, inside: np.ndarray) -> dict[str, Any]:
-    """Measure folds and stretches of a map at `points`, (n, 2), of which the target shows `inside`, (n,) bool.
-
-    Returns
-    -------
-    numbers : dict
-        As of `measure_shape`, without the overlap.
-    """
     change = transform.jacobian(points)
     known = np.isfinite(change).all((1, 2))
     determinant = np.linalg.det(np.where(known[:, None, None], change, 0))
     mirrored = bool(np.median(determinant[inside]) < 0) if inside.any() else False
-    upright = (determinant < 0) if mirrored else (determinant > 0)
     # A map that folds has no value beyond the fold: such points count, wherever they lie.
-    lost = ~np.isfinite(transform(points)).all(1)
-    judged = inside | lost
-    good = inside & upright & known
+    judged = inside | ~np.isfinite(transform(points)).all(1)
+    good = inside & known & ((determinant < 0) if mirrored else (determinant > 0))
+    x, y, width, height = (int(v) for v in overlap.box)
+    part = None if mask is None else mask[y : y + height, x : x + width]
+    filled = 1.0 if part is None or not part.size else max(float(part.mean()), 1e-9)
     numbers: dict[str, Any] = {
+        "overlap": min(1.0, float(inside.mean()) / filled),
         "folded": float(1 - good[judged].mean()) if judged.any() else 1.0,
         "mirrored": mirrored,
     }
@@ -369,93 +290,50 @@ def grid_points(box: Box, shape: tuple[int, int]) -> np.ndarray:
     return np.stack([x - 0.5 + u.ravel() * w, y - 0.5 + v.ravel() * h], 1)
 
 
-def measure_windows(checks: CheckWindows) -> dict[str, Any]:
-    """Count windows that confirm a map; distances in reference px.
-
-    Returns
-    -------
-    numbers : dict
-        ``windows`` with structure, ``found`` of these, ``agreeing`` of the found;
-        ``window_median`` of how far the found ones are off (infinite without any).
-    """
-    found = checks.found
-    distance = np.hypot(*checks.shift.T)[found]
-    middle = np.median(distance) if found.any() else np.inf
-    return {
-        "windows": len(found),
-        "found": int(found.sum()),
-        "agreeing": int(checks.confirmed.sum()),
-        "window_median": float(middle),
-    }
-
-
-def measure_support(
+def measure_windows(
     overlap: Overlap, checks: CheckWindows, matched_at: np.ndarray
 ) -> dict[str, Any]:
-    """Return ``box``, (x, y, width, height) reference px, and the numbers of `measure_cells` in it."""
-    box = overlap.box
-    shown = overlap.shows(grid_points(box, SETTINGS.fine))
-    return {"box": list(box), **measure_cells(box, shown, checks, matched_at)}
+    """Return the fields of `verdict.Evidence` on check windows: how many confirm a map, and in which cells of the box they do.
 
-
-def measure_cells(
-    box: Box, shown: np.ndarray, checks: CheckWindows, matched_at: np.ndarray
-) -> dict[str, Any]:
-    """Find the cells of a box in which windows or matches confirm a map, and how much of it is checked.
-
-    Parameters
-    ----------
-    box : (x, y, width, height), reference px
-    shown : ndarray of bool, (n,)
-        Which points of the fine grid over the box both pictures show.
-    checks : CheckWindows
-        Windows of a cell that move alike confirm the map where their median is within the tolerance.
-    matched_at : ndarray, (m, 2), reference px
-        Matches, which confirm the cell that they lie in.
-
-    Returns
-    -------
-    numbers : dict
-        ``coverage`` 0..1: of the cells that both pictures show and that have structure, the share
-        that is confirmed; ``unsupported``, ``off``: lists of (x, y, width, height),
-        reference px, of the cells where nothing confirms it, and where windows lie off it; ``off_shift``: by how much windows lie off, (dx, dy) px, in each cell of ``off``. ``checked`` 0..1: of all that both pictures show, with structure or
-        without, the share that is no farther than a window's side from windows that confirm the map;
-        ``unchecked``: the rectangles about connected parts
-        of the rest, the largest first, each with its share of all at the end.
+    Windows of a cell that move alike confirm the map there where their median is within the tolerance, and contradict it beyond
+    twice that; matches, `matched_at`, (m, 2) reference px, confirm the cell that they lie in.
     """
-    columns, rows = SETTINGS.cells
-    count = columns * rows
-    fine = grid_points(box, SETTINGS.fine)
-    shown_points = np.bincount(_cell_of(fine, box), shown, minlength=count)
-    in_view = shown_points >= SETTINGS.fine_least
+    box, count = overlap.box, CELLS[0] * CELLS[1]
+    fine = grid_points(box, FINE)
+    shown = overlap.shows(fine)
+    in_view = np.bincount(_cell_of(fine, box), shown, minlength=count) >= FINE_LEAST
     matched = np.zeros(count, bool)
     matched[_cell_of(matched_at, box)] = True
     home = _cell_of(checks.centres, box)
     structured = np.bincount(home, minlength=count) > 0
     agreeing, off = np.zeros(count, bool), np.zeros(count, bool)
-    moved = np.zeros((count, 2))
     for cell in np.unique(home[checks.found]):
         here = checks.shift[checks.found & (home == cell)]
         middle = np.median(here, 0)
         # Windows that are found in wrong places scatter; a map that is off moves them alike.
         alike = (np.hypot(*(here - middle).T) <= checks.tolerance).mean() >= 0.5
         agreeing[cell] = alike and np.hypot(*middle) <= checks.tolerance
-        off[cell] = alike and len(here) >= SETTINGS.least_found and not agreeing[cell]
-        moved[cell] = middle
+        off[cell] = alike and len(here) >= LEAST_OFF and np.hypot(*middle) > 2 * checks.tolerance
     judged = in_view & (structured | matched)
     support = (matched | agreeing) & ~off
-    centres, size = grid_points(box, SETTINGS.cells), (box[2] / columns, box[3] / rows)
+    centres, size = grid_points(box, CELLS), np.array(box[2:]) / CELLS
 
     def rectangles(mask: np.ndarray) -> list[list[float]]:
-        corners = centres[mask] + 0.5 - np.array(size) / 2
+        corners = centres[mask] + 0.5 - size / 2
         return [[round(float(v), 1) for v in (*corner, *size)] for corner in corners]
 
+    distance = np.hypot(*checks.shift[checks.found].T)
     return {
+        "box": box,
+        "tolerance": checks.tolerance,
+        "windows": len(checks.found),
+        "found": len(distance),
+        "agreeing": int(checks.confirmed.sum()),
+        "window_median": float(np.median(distance)) if len(distance) else np.inf,
         "coverage": float(support[judged].mean()) if judged.any() else 0.0,
         "off_share": float(off[judged].mean()) if judged.any() else 0.0,
         "unsupported": rectangles(judged & ~support & ~off),
         "off": rectangles(judged & off),
-        "off_shift": np.round(moved[judged & off], 2).tolist(),
         **_measure_checked(box, shown, checks.beyond(fine) == 0),
     }
 
@@ -464,7 +342,7 @@ def _measure_checked(box: Box, shown: np.ndarray, near: np.ndarray) -> dict[str,
     """Return how much of what both pictures show is near to what confirms the map, and the rest's rectangles."""
     from scipy import ndimage
 
-    columns, rows = SETTINGS.fine
+    columns, rows = FINE
     total = max(int(shown.sum()), 1)
     cell = np.array([box[2] / columns, box[3] / rows])
 
@@ -477,7 +355,7 @@ def _measure_checked(box: Box, shown: np.ndarray, near: np.ndarray) -> dict[str,
     patches, count = ndimage.label(rest)
     sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
     parts = ndimage.find_objects(patches)
-    order = np.argsort(-sizes, kind="stable")[: SETTINGS.most_unchecked]
+    order = np.argsort(-sizes, kind="stable")[:MOST_UNCHECKED]
     return {
         "checked": float(good.sum() / total),
         "unchecked": [[*rectangle(parts[k]), round(float(sizes[k] / total), 4)] for k in order],
@@ -488,7 +366,7 @@ def _cell_of(points: np.ndarray, box: Box) -> np.ndarray:
     if not len(points):
         return np.empty(0, int)
     x, y, w, h = box
-    columns, rows = SETTINGS.cells
+    columns, rows = CELLS
     column = np.floor((points[:, 0] + 0.5 - x) / w * columns).astype(int)
     row = np.floor((points[:, 1] + 0.5 - y) / h * rows).astype(int)
     column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)

@@ -165,7 +165,7 @@ def _compare(
     if shared is not None:
         changes = _changes(sides[0][shared[0]], sides[1][shared[1]], move, rate)
         compared = f"{shared[0].name} and {shared[1].name}"
-    error = found.verdict.numbers.get("held_out_median")
+    error = found.verdict.numbers["sensor"]["held_out_px"]
     return ObjectAgreement(name, other, tuple(pairs), changes, compared, error)
 
 
