@@ -82,8 +82,8 @@ def work(folder: Path, memory: float) -> None:
     from levkas.campaign.discovery.find_captures import find_captures
     from levkas.database.layers import Layer, write_layer
     from levkas.geometry.transforms import Affine, Composed, Lens
+    from levkas.stages.parts import on_grid
     from levkas.stages.scans import open_scan
-    from levkas.stages.streaming import resample_scan
     from levkas.stages.template_cache import TemplateCache
 
     limit = int(memory * 1e9)
@@ -100,12 +100,14 @@ def work(folder: Path, memory: float) -> None:
     campaign = load_campaign(folder)
     capture = next(c for c in find_captures(campaign)[0] if c.camera == "scan")
     scan = open_scan(capture, campaign, TemplateCache(folder))
-    lines, samples, bands = scan.shape
+    (part,) = scan.parts
+    lines, samples, _ = part.shape
     size = (samples // 2, lines // 2)
     lens = Lens(np.array([samples / 2, lines / 2]), lines / 2.0, (1e-4, 0.0))
     one = Composed(Affine(np.array([[2.0, 0.002, 0.5], [0.0001, 2.0, 0.5]])), lens)
     start = time.perf_counter()
-    rows = resample_scan(scan, [one] * bands, size, spool=folder)
+    maps = dict.fromkeys([band.label for band in scan.bands], one)
+    rows = on_grid(scan, maps, size, spool=folder).cube()
     _, files = write_layer(folder / "database", Layer("panel", "scan"), rows)
     seconds = time.perf_counter() - start
     written = sum(path.stat().st_size for path in files)

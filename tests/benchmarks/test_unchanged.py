@@ -171,14 +171,14 @@ def test_the_code_of_a_commit_is_unpacked_once(unchanged, tmp_path):
 
 
 def test_limits_of_streamed_scans_are_found_whatever_stands_beside_them(unchanged, monkeypatch):
+    import levkas.stages.parts
     import levkas.stages.scans
-    import levkas.stages.streaming
 
     for module, name in (
         (levkas.stages.scans, "STREAMED_SAMPLES"),
-        (levkas.stages.streaming, "BUFFER_BYTES"),
+        (levkas.stages.parts, "BUFFER_BYTES"),
     ):
         monkeypatch.setattr(module, name, getattr(module, name))  # restored in the end
     exec(unchanged.STREAMED, {})
     assert levkas.stages.scans.STREAMED_SAMPLES == 0
-    assert levkas.stages.streaming.BUFFER_BYTES == 3_000_000
+    assert levkas.stages.parts.BUFFER_BYTES == 3_000_000

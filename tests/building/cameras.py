@@ -24,7 +24,7 @@ from levkas.core.cube import Cube, Flag
 from levkas.core.problems import Problem, Refused
 from levkas.stages.budget import budget_of
 from levkas.stages.calibrate import develop
-from levkas.stages.native_cubes import Native
+from levkas.stages.parts import CalibratedCapture
 from levkas.stages.template_cache import TemplateCache
 
 SHAPE = (80, 100)
@@ -175,7 +175,7 @@ class Made:
     """What came of the calibration of one object: a native cube, or problems."""
 
     problems: Sequence[Problem]
-    native: Native | None = None
+    native: CalibratedCapture | None = None
     campaign: Campaign | None = None
     capture: Capture | None = None
 

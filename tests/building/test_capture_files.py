@@ -32,7 +32,7 @@ from typer.testing import CliRunner
 from levkas.building import build, summarise
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.cli import app
-from levkas.stages import native_cubes
+from levkas.stages import native_files
 
 TONES = tones(SHAPE)[0]
 KNOWN_BLACK = f"bits = 12\nblack = {BLACK:g}\n"
@@ -288,9 +288,9 @@ def test_templates_are_shared_by_objects_that_agree_and_compared_with_every_one(
 
 def test_what_does_not_fit_in_memory_is_refused_and_the_other_camera_goes_on(tmp_path, monkeypatch):
     folder = write(tmp_path / "c", "cube", referenced)
-    needed = native_cubes.CUBE_BYTES * 3 * SHAPE[0] * SHAPE[1]
+    needed = native_files.SAMPLE_BYTES * 3 * SHAPE[0] * SHAPE[1]
     for free, state in ((needed - 1.0, "refused"), (needed + 0.0, "done")):
-        monkeypatch.setattr(native_cubes, "memory_bound", lambda free=free: free)
+        monkeypatch.setattr(native_files, "memory_bound", lambda free=free: free)
         ended = {(s.key.camera, s.key.stage): s for s in summarise(build(folder)).stages}
         assert ended["cam", "calibrate"].state == state
         assert ended["photo", "calibrate"].state in ("done", "fresh")

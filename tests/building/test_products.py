@@ -6,7 +6,7 @@ from cameras import developed, drop, key, read_scan, text, tones, write, write_s
 
 from levkas.core.cube import Band, Cube, Flag
 from levkas.geometry.transforms import Affine
-from levkas.stages.native_cubes import Native
+from levkas.stages.parts import CalibratedCapture, Part, on_grid
 from levkas.stages.scans import open_scan
 from levkas.stages.template_cache import TemplateCache
 
@@ -42,11 +42,9 @@ def test_a_product_is_reflectance_with_nothing_where_nothing_was_recorded(tmp_pa
 def test_a_product_read_by_lines_is_the_same(tmp_path):
     made = developed(product(tmp_path / "c"))
     scan = open_scan(made.capture, made.campaign, TemplateCache(tmp_path / "kept"))
-    blocks = list(scan.passed())
-    assert scan.quantity == "reflectance"
+    whole = scan.parts[0].whole()
     for name in ("values", "flags"):
-        together = np.concatenate([getattr(block, name) for block in blocks])
-        assert np.array_equal(together, getattr(made.cube, name))
+        assert np.array_equal(getattr(whole, name), getattr(made.cube, name))
     assert not scan.images()[0].valid[EMPTY].any()
 
 
@@ -92,11 +90,9 @@ def test_bad_bands_are_kept_and_used_for_nothing(tmp_path):
 def test_values_of_a_layer_without_sigma_are_not_rounded_by_that_of_one_sensor():
     codes = np.arange(1000, 1400, dtype=np.float32).reshape(20, 20, 1)
     sigma, flags = np.full(codes.shape, 50, np.float32), np.zeros(codes.shape, np.uint8)
-    cubes = {
-        "known": Cube(codes, flags, sigma, (Band("A"),), "counts"),
-        "unknown": Cube(codes + 400, flags, None, (Band("B"),), "counts"),
-    }
-    for native in (Native(cubes), Native(cubes).packed()):
-        layer = native.on_grid(dict.fromkeys("AB", Affine.identity()), (20, 20))
-        assert layer.sigma is None
-        assert np.array_equal(layer.values, np.concatenate([codes, codes + 400], axis=2))
+    known = Part.held(Cube(codes, flags, sigma, (Band("A"),), "counts"), "known")
+    other = Part.held(Cube(codes + 400, flags, None, (Band("B"),), "counts"), "unknown")
+    maps = dict.fromkeys("AB", Affine.identity())
+    layer = on_grid(CalibratedCapture([known, other]), maps, (20, 20)).cube()
+    assert layer.sigma is None
+    assert np.array_equal(layer.values, np.concatenate([codes, codes + 400], axis=2))

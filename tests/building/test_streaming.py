@@ -36,7 +36,7 @@ from levkas.database.layers import Layer, write_layer
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
 from levkas.quality.image_quality import sharpness
-from levkas.stages import capture_statistics, scan_templates, scans, streaming
+from levkas.stages import capture_statistics, parts, scan_templates, scans
 from levkas.stages.capture_statistics import (
     DefaultLayer,
     LayerStatistics,
@@ -68,17 +68,17 @@ def same(a, b):
 def test_a_line_is_calibrated_alike_in_any_block(scan_and_cube, monkeypatch, samples):
     scan, cube = scan_and_cube
     monkeypatch.setattr(scan_templates, "BLOCK_SAMPLES", samples)
-    assert same(scan.whole()[0], cube)
-    blocks = list(scan.blocks(7, 20))
-    assert len(blocks) == (13 if samples == 1 else 1)
-    assert np.array_equal(np.concatenate([c.values for c in blocks]), cube.values[7:20])
+    (part,) = scan.parts
+    assert same(part.whole(), cube)
+    for rows in ((7, 20), (12, 31)):  # what both have in common is calibrated once
+        assert np.array_equal(part.rows(*rows).values, cube.values[slice(*rows)])
 
 
 def test_pictures_are_block_means_of_what_is_there(scan_and_cube, monkeypatch):
     scan, cube = scan_and_cube
     monkeypatch.setattr(scans, "LOOKED_AT_PX", cube.values[..., 0].size // 9 + 1)
-    assert scan.factor == 3
     image = scan.images()[1]
+    assert scan.factor == 3
     h, w = image.values.shape
     blocks = cube.values[: 3 * h, : 3 * w, 1].reshape(h, 3, w, 3)
     sound = (cube.flags[: 3 * h, : 3 * w, 1].reshape(h, 3, w, 3) == 0).all((1, 3))
@@ -87,10 +87,11 @@ def test_pictures_are_block_means_of_what_is_there(scan_and_cube, monkeypatch):
 
 
 def joined(scan, maps, size, spool):
-    blocks = list(streaming.resample_scan(scan, maps, size, spool=spool).blocks)
+    named = dict(zip([band.label for band in scan.bands], maps, strict=True))
+    blocks = list(parts.on_grid(scan, named, size, spool=spool).cube().blocks)
     assert not list(spool.iterdir())
-    parts = (np.concatenate([getattr(b, n) for b in blocks]) for n in ("values", "flags", "sigma"))
-    return len(blocks), *parts
+    whole = (np.concatenate([getattr(b, n) for b in blocks]) for n in ("values", "flags", "sigma"))
+    return len(blocks), *whole
 
 
 @pytest.mark.parametrize(
@@ -109,7 +110,7 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
     shape, spool = (size[1], size[0]), tmp_path / "spool"
     spool.mkdir()
     whole = warp(cube.values, maps, shape, flags=cube.flags, variance=np.square(cube.sigma))
-    monkeypatch.setattr(streaming, "BUFFER_BYTES", 9 * 3 * w * 30)
+    monkeypatch.setattr(parts, "BUFFER_BYTES", 9 * 3 * w * 30)
     count, values, flags, sigma = joined(scan, maps, size, spool)
     assert count > 2
     assert np.array_equal(flags & Flag.OUTSIDE, whole.flags & Flag.OUTSIDE)
@@ -117,8 +118,8 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
     assert np.nanmax(np.abs(sigma / np.sqrt(whole.variance) - 1)) < 0.005
     for tile in ("11", "whole"):  # neither a part of a strip nor a multiple of it
         monkeypatch.setenv("LEVKAS_TILE", tile)
-        _, *parts = joined(scan, maps, size, spool)
-        for part, first in zip(parts, (values, flags, sigma), strict=True):
+        _, *again = joined(scan, maps, size, spool)
+        for part, first in zip(again, (values, flags, sigma), strict=True):
             assert np.array_equal(part, first, equal_nan=part.dtype.kind == "f")
 
 
@@ -135,14 +136,14 @@ def test_of_a_scan_that_lies_askew_many_lines_are_held_and_a_very_large_one_is_r
     scan, cube = scan_and_cube
     (tmp_path / "spool").mkdir()
     maps = [Affine(np.array([[0.7, -0.7, 20], [0.7, 0.7, 0]]))] * 3
-    monkeypatch.setattr(streaming, "BUFFER_BYTES", 9 * 3 * cube.values.shape[1] * 30)
+    monkeypatch.setattr(parts, "BUFFER_BYTES", 9 * 3 * cube.values.shape[1] * 30)
     _, values, _, sigma = joined(scan, maps, (40, 40), tmp_path / "spool")
     whole = warp(cube.values, maps, (40, 40), flags=cube.flags)
     assert np.isfinite(values).any()
     assert_rounded_alike(values, sigma, whole.values)
-    monkeypatch.setattr(streaming, "ASKEW_BYTES", streaming.BUFFER_BYTES)
-    with pytest.raises(streaming.ScanRefused):
-        next(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path / "spool").blocks)
+    monkeypatch.setattr(parts, "ASKEW_BYTES", parts.BUFFER_BYTES)
+    with pytest.raises(parts.ScanRefused):
+        joined(scan, maps, (40, 40), tmp_path / "spool")
 
 
 @pytest.mark.parametrize("step", [7, 1000])
@@ -153,8 +154,8 @@ def test_rows_are_written_as_the_whole_is(tmp_path, step):
     bands = tuple(Band(f"{w} nm", float(w)) for w in range(400, 1000, 50))
     layer = Layer("icon", "v10")
     write_layer(tmp_path / "whole", layer, Cube(values, flags, sigma, bands, "reflectance"))
-    parts = (slice(y, y + step) for y in range(0, shape[0], step))
-    blocks = [Cube(values[p], flags[p], sigma[p], bands, "reflectance") for p in parts]
+    some = (slice(y, y + step) for y in range(0, shape[0], step))
+    blocks = [Cube(values[p], flags[p], sigma[p], bands, "reflectance") for p in some]
     rows = CubeRows(blocks, shape, bands, "reflectance", has_sigma=True)
     entry, files = write_layer(tmp_path / "rows", layer, rows)
     assert hash_tree(tmp_path / "rows") == hash_tree(tmp_path / "whole")
@@ -321,10 +322,10 @@ def test_rows_of_another_setup_are_compared_with_the_default_ones(two_setups, tm
     assert reported["veiled"] == 800
     np.testing.assert_array_equal((whole.flags & Flag.VEILED) != 0, planted)
     statistics = LayerStatistics(layer, gains)
-    parts = (slice(y, y + rows) for y in range(0, 96, rows))
-    blocks = [replace(cube, values=cube.values[p], flags=cube.flags[p].copy()) for p in parts]
-    parts = CubeRows(blocks, whole.shape, cube.bands, cube.quantity, has_sigma=False)
-    flags = np.concatenate([block.flags for block in statistics.flagged(parts).blocks])
+    some = (slice(y, y + rows) for y in range(0, 96, rows))
+    blocks = [replace(cube, values=cube.values[p], flags=cube.flags[p].copy()) for p in some]
+    passing = CubeRows(blocks, whole.shape, cube.bands, cube.quantity, has_sigma=False)
+    flags = np.concatenate([block.flags for block in statistics.flagged(passing).blocks])
     np.testing.assert_array_equal(flags, whole.flags)
     assert statistics.glare == reported | {"inside": 96 * 120}
 
@@ -342,8 +343,8 @@ def test_the_map_of_sigma_is_noted_alike_in_blocks_of_any_height(rows):
         for part in (sigma[y : y + rows] for y in range(0, height, rows))
     ]
     statistics = LayerStatistics(step=16)
-    parts = CubeRows(iter(blocks), sigma.shape, bands, "reflectance", has_sigma=True)
-    list(statistics.flagged(parts).blocks)
+    passing = CubeRows(iter(blocks), sigma.shape, bands, "reflectance", has_sigma=True)
+    list(statistics.flagged(passing).blocks)
     noted = statistics.sigma_map()["sigma_map"]
     levels = np.asarray(Image.open(io.BytesIO(base64.b64decode(noted["png"])))).astype(float)
     assert levels.shape == (334, 167)  # every third pixel: 360 are the most

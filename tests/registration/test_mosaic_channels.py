@@ -11,7 +11,7 @@ from levkas.core.cube import Band, Cube
 from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, register
 from levkas.registration.bands import Sites
-from levkas.stages.native_cubes import Native
+from levkas.stages.parts import CalibratedCapture, Part
 from levkas.stages.shared_noise import Mosaic
 
 REFERENCE, FINE = 200, 6.0  # px; samples of the scene a px of the reference
@@ -87,7 +87,7 @@ class ColourCamera:
         values, noted, _ = demosaic(mosaic, flags, None, rows, method=method, channels=channels)
         bands = tuple(Band(c, float("nan")) for c in channels)
         cube = Cube(values, noted, None, bands, "reflectance")
-        return Native({"": cube}, mosaics={"": Mosaic(rows, method, channels)})
+        return CalibratedCapture([Part.held(cube, mosaic=Mosaic(rows, method, channels))])
 
     def errors(self, reference, images):
         """Return the median error of each channel, (3, 2) reference px."""

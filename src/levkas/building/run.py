@@ -246,7 +246,7 @@ def status(
 
 def calibrate_aside(capture: Capture, campaign: Campaign, places: Places) -> Path:
     """Return a folder beside the database with a capture's native pixels; calibrate it where they are not there yet."""
-    from levkas.stages.calibrate import calibrate, write_shown
+    from levkas.stages.calibrate import load_calibrated, write_shown
 
     records = BuildRecords(places.kept, places.output)
     made_of = records.fingerprint(key_of(capture, "calibrate"))
@@ -254,7 +254,8 @@ def calibrate_aside(capture: Capture, campaign: Campaign, places: Places) -> Pat
     folder = places.kept_native(capture.object, capture.layer, version)
     if not folder.is_dir():
         templates = TemplateCache(places.kept / "templates", records.hashes.of_frame)
-        made = calibrate(capture, campaign, templates, places)
+        notes = records.notes(key_of(capture, "calibrate"))
+        made = load_calibrated(capture, campaign, places, notes, templates)
         write_shown(made, capture, campaign, places, folder)
     return folder
 

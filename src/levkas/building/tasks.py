@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
+    from levkas.stages.parts import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
     from levkas.stages.template_cache import TemplateCache
-    from levkas.stages.tiles import CalibratedCapture
 
     Write = Callable[[Callable[[], object]], Written]
 
@@ -80,7 +80,8 @@ class Stages:
         return self._native
 
     def _keep(self, capture: Capture, native: CalibratedCapture) -> CalibratedCapture:
-        self._capture, self._native, self.streams = capture, native, native.is_streamed
+        self._capture, self._native = capture, native
+        self.streams = bool(capture.tiles) or not native.is_held or native.placement is not None
         return native
 
     def frame(self, task: Task) -> ReferenceFrame:
@@ -109,7 +110,7 @@ class Stages:
         self.let_go()
         self.templates.used.clear()
         native = calibrate(capture, self.campaign, self.templates, self.places)
-        self._keep(capture, native.packed())
+        self._keep(capture, native)
         used = sorted(self.templates.used)
         write = partial(write_calibrated, native, capture, self.campaign, self.places)
         return lambda before: _with_notes(write(before), templates=used)

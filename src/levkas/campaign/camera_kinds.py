@@ -18,7 +18,8 @@ class CameraKind:
         Where its bands are kept apart: in the ``"pattern"`` of a mosaic, in one ``"file"`` that holds them all, in
         ``"files"``, one each, or by ``"sensors"`` behind one lens, of which each may have a pattern.
     develop : str
-        ``MODULE:FUNCTION`` that makes calibrated values of the frames of a sensor (`SensorContext` → cube and notes).
+        ``MODULE:FUNCTION`` that makes calibrated values of the frames of a sensor (`SensorContext` → cube and notes); nothing of
+        scans, which `levkas.stages.scans` calibrates line by line.
     is_calibrated : bool
         Whether its frames are raw: with black level, noise, dark and white.
     is_scanned : bool
@@ -96,7 +97,7 @@ KINDS: dict[str, CameraKind] = {
     ),
     "cube": CameraKind(
         bands_in="file",
-        develop="levkas.stages.scans:develop_scan",
+        develop="",
         is_scanned=True,
         reads_pages=True,
         keys=("bands", "scan"),

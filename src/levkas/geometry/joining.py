@@ -297,7 +297,7 @@ def mean_step(seam: Mapping[str, Any]) -> float:
 def describe_steps(seams: Iterable[Mapping[str, Any]]) -> list[str]:
     """Report of seams whose step shows."""
     return [
-        f"tiles {' and '.join(one['tiles'])} differ by {100 * abs(mean_step(one)):.1f} % where they meet: light, flat field, glare or "
+        f"parts {' and '.join(one['tiles'])} differ by {100 * abs(mean_step(one)):.1f} % where they meet: light, flat field, glare or "
         "the object changed between them"
         for one in seams
         if abs(mean_step(one)) > MOST_STEP and one["pixels"] >= LEAST_PIXELS

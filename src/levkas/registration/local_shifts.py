@@ -147,7 +147,14 @@ def reduce(image: np.ndarray, n: int) -> np.ndarray:
 def detail_on_grid(
     image: np.ndarray, transform: Transform, shape: tuple[int, int], *, step: int = 1
 ) -> np.ndarray:
-    """Return `image`, (h, w), resampled on a grid of `step` reference px and high-passed.
+    """Return `picture_on_grid`, high-passed."""
+    return highpass(picture_on_grid(image, transform, shape, step=step))
+
+
+def picture_on_grid(
+    image: np.ndarray, transform: Transform, shape: tuple[int, int], *, step: int = 1
+) -> np.ndarray:
+    """Return `image`, (h, w), resampled on a grid of `step` reference px.
 
     `transform` is reference px → px of the image, `shape` that of the grid. Blocks of about one px of the grid are averaged: less lets
     detail finer than the grid feign other detail, more makes noise alike in neighbours.
@@ -156,7 +163,7 @@ def detail_on_grid(
     size = step * float(np.sqrt(np.abs(np.linalg.det(transform.jacobian(centre)[0]))))
     block = max(1, round(size / 1.2)) if np.isfinite(size) else 1
     whole = Composed(transform, Affine.scaling(1 / block))
-    return highpass(smoothing_warp(reduce(image, block), whole, shape, step=step))
+    return smoothing_warp(reduce(image, block), whole, shape, step=step)
 
 
 def highpass(image: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -36,9 +36,16 @@ from levkas.core.problems import Problem, Refused, gathered
 from levkas.core.threads import each, in_threads
 from levkas.core.transpose import transpose
 from levkas.database.credits import credits_of
+from levkas.database.registrations import read_registration
 from levkas.readers.frames import UnreadableCapture, read_facts
 from levkas.stages.above_white import count_above, describe_above, require_light
-from levkas.stages.capture_statistics import describe_lamp, note_light, note_sensels, note_traps
+from levkas.stages.capture_statistics import (
+    describe_lamp,
+    focus_of,
+    note_light,
+    note_sensels,
+    note_traps,
+)
 from levkas.stages.chart_white import lights_by_chart
 from levkas.stages.exposures import (
     average_shots,
@@ -55,11 +62,11 @@ from levkas.stages.exposures import (
     white_area_of,
     white_of,
 )
-from levkas.stages.native_cubes import Native, require_memory, write_native
-from levkas.stages.scans import is_streamed, open_scan
+from levkas.stages.native_files import filed_parts, part_name, require_memory, write_native
+from levkas.stages.parts import CalibratedCapture, Part, Placement, median_focus
+from levkas.stages.scans import develop_scan, is_streamed, open_scan
 from levkas.stages.shared_noise import Mosaic
 from levkas.stages.spectra import board_of, broad_centroids
-from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
@@ -71,7 +78,6 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.layout import Places
     from levkas.stages.template_cache import TemplateCache
-    from levkas.stages.tiles import CalibratedCapture
 
 MOST_PROBLEMS = 50
 Noted = tuple[Cube, list[str]]
@@ -88,12 +94,13 @@ def calibrate(
     if capture.tiles:
         for tile in capture.tiles:
             require_memory(tile, campaign.cameras[capture.camera].kind)
-        notes = {
-            "warnings": tuple(_contradictions(capture, campaign, templates)),
-            "captured": read_facts(capture.sensors[0].object[0].path).captured or "",
-        }
-        tiles = (develop(tile, campaign, templates) for tile in capture.tiles)
-        return _tiled(capture, campaign, places, notes, tiles)
+        return CalibratedCapture(
+            (),
+            {sensor.name: sensor.align for sensor in capture.sensors},
+            read_facts(capture.sensors[0].object[0].path).captured,
+            tuple(_contradictions(capture, campaign, templates)),
+            coming=(develop(tile, campaign, templates) for tile in capture.tiles),
+        )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     require_memory(capture, campaign.cameras[capture.camera].kind)
@@ -126,15 +133,16 @@ def write_calibrated(
     credits = credits_of(campaign, capture.object, made.captured or "")
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
     is_published = campaign.database.native
+    folder, files, quantity = folder_of(capture, campaign, places), [], "reflectance"
     with together(before):
-        if is_published or capture.tiles:
-            folder = folder_of(capture, campaign, places)
-            files = write_native(made.sensors(), capture, places, credits, centroids, folder)
-        else:
-            files = []
-            for _, rows in made.sensors():  # what a scan shows is known when all its lines passed
-                for block in rows.blocks:
-                    del block
+        made.complete()
+        if capture.tiles:
+            files, quantity = _write_tiles(made, capture, campaign, places, folder)
+        elif is_published:
+            parts = ((name, made.sensor(name)) for name in made.by_sensor)
+            files = write_native(parts, capture, places, credits, centroids)
+    if capture.tiles:
+        made.parts = _tiles_in_files(capture, campaign, places, quantity)
     notes = {
         "quantity": made.quantity,
         "warnings": list(made.warnings),
@@ -147,6 +155,37 @@ def write_calibrated(
     return Written([], notes, aside=tuple(files), warnings=made.warnings)
 
 
+def _write_tiles(
+    made: CalibratedCapture,
+    capture: Capture,
+    campaign: Campaign,
+    places: Places,
+    folder: Path | None,
+) -> tuple[list[Path], str]:
+    """Write the tiles of a capture as they are calibrated; return the files and the quantity that all tiles have."""
+    credits = credits_of(campaign, capture.object, made.captured or "")
+    centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    files, warnings, focus, quantity = [], [*made.warnings], [], "reflectance"
+    for tile in capture.tiles:
+        native = next(made.coming)
+        parts = ((part_name(tile, name), native.sensor(name)) for name in native.by_sensor)
+        files += write_native(parts, capture, places, credits, centroids, folder)
+        quantity = native.quantity if quantity == "reflectance" else quantity
+        warnings += native.warnings
+        focus.append(native.focus)
+        made.measured = made.measured or native.measured
+        del native, parts  # their memory goes before the next ones are made
+    made.warnings, made.focus = tuple(dict.fromkeys(warnings)), median_focus(focus)
+    return files, quantity
+
+
+def _tiles_in_files(
+    capture: Capture, campaign: Campaign, places: Places, quantity: str
+) -> list[Part]:
+    folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
+    return [*filed_parts(capture, places, mosaics, quantity, folder)]
+
+
 def write_shown(
     made: CalibratedCapture, capture: Capture, campaign: Campaign, places: Places, folder: Path
 ) -> None:
@@ -156,7 +195,7 @@ def write_shown(
     credits = credits_of(campaign, capture.object, made.captured or "")
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
     with together():
-        parts = made.joined() if isinstance(made, TiledCapture) else made.sensors()
+        parts = ((name, made.sensor(name)) for name in made.by_sensor)
         write_native(parts, capture, places, credits, centroids, folder)
 
 
@@ -178,21 +217,24 @@ def load_calibrated(
     `notes` are those of the record.
     """
     if capture.tiles:
-        return _tiled(capture, campaign, places, dict(notes))
+        return CalibratedCapture(
+            _tiles_in_files(capture, campaign, places, notes.get("quantity", "counts")),
+            {sensor.name: sensor.align for sensor in capture.sensors},
+            notes.get("captured") or None,
+            tuple(notes.get("warnings", ())),
+            notes.get("measured", {}),
+            notes.get("focus", []),
+            _placement_of(places.registration(capture.object, capture.layer)),
+        )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     return develop(capture, campaign, templates)
 
 
-def _tiled(
-    capture: Capture,
-    campaign: Campaign,
-    places: Places,
-    notes: dict[str, Any],
-    tiles: Iterable[Native] = (),
-) -> TiledCapture:
-    folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
-    return TiledCapture(capture, places, folder, mosaics, iter(tiles), notes)
+def _placement_of(path: Path) -> Placement | None:
+    """Return where tiles were placed, by the registration record of their layer; None before they are."""
+    record = read_registration(path) if path.is_file() else {}
+    return Placement.of(record) if record.get("tiles") else None
 
 
 def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:
@@ -207,57 +249,67 @@ def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:
     }
 
 
-def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Native:
-    """Calibrate every sensor of a capture.
+def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> CalibratedCapture:
+    """Calibrate every sensor of a capture, held in memory.
 
     Raises Refused: UnreadableCapture or CalibrationRefused, with the files in question.
     """
-    camera = campaign.cameras[capture.camera]
-    cubes, notes, captured = {}, [], None
+    try:
+        if campaign.cameras[capture.camera].traits.is_scanned:
+            return develop_scan(capture, campaign, templates)
+        return _develop_frames(capture, campaign, templates)
+    except (UnreadableCapture, CodesRefused) as refused:
+        raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
+
+
+def _develop_frames(
+    capture: Capture, campaign: Campaign, templates: TemplateCache
+) -> CalibratedCapture:
+    camera, mosaics = campaign.cameras[capture.camera], mosaics_of(capture, campaign)
+    parts, notes, captured, focus = [], [], None, []
     measured: dict[str, dict[str, Any]] = {}
     lights = _lights_of(capture, campaign, templates)
     traps = capture.boxes(campaign.targets.traps.get(capture.object, {}))
-    try:
-        contexts = []
-        for sensor in capture.sensors:
-            board, facts = board_of(campaign, capture, sensor), read_facts(sensor.object[0].path)
-            contexts.append(
-                SensorContext(
-                    *(campaign, camera, sensor, facts, templates),
-                    light=lights.get(sensor.name),
-                    reflectance=board.reflectance,
-                    doubts=board.notes,
-                )
+    contexts = []
+    for sensor in capture.sensors:
+        board, facts = board_of(campaign, capture, sensor), read_facts(sensor.object[0].path)
+        contexts.append(
+            SensorContext(
+                *(campaign, camera, sensor, facts, templates),
+                light=lights.get(sensor.name),
+                reflectance=board.reflectance,
+                doubts=board.notes,
             )
-        notes += _compare_all(contexts)
-        for context in contexts:
-            sensor, light = context.sensor, context.light
-            captured = captured or context.facts.captured
-            if camera.traits.is_calibrated:
-                require_exposures(context)
-                require_black(context)
-            notes += doubts_of(context)
-            if light is not None:
-                _require_chart_of_size(context, light)
-                context.measured[CHART_WHITE] = dict(light.record)
-            cube, found = developer_of(camera)(context)
-            cube = cubes[sensor.name] = mark_glare_in(cube)
-            context.note_bend()
-            notes += [*found, *describe_sensor(context)]
-            notes += note_traps(context.measured, cube, traps.get(sensor.name, []), capture.object)
-            if not camera.traits.is_scanned:  # of a scan it is among what its lines show
-                counts = count_above(cube)
-                with placing(sensor.object):
-                    require_light(counts, cube.labels)
-                notes += describe_above(counts, cube.labels)
-            measured[sensor.name] = context.measured
-    except (UnreadableCapture, CodesRefused) as refused:
-        raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
+        )
+    notes += _compare_all(contexts)
+    for context in contexts:
+        sensor, light = context.sensor, context.light
+        captured = captured or context.facts.captured
+        if camera.traits.is_calibrated:
+            require_exposures(context)
+            require_black(context)
+        notes += doubts_of(context)
+        if light is not None:
+            _require_chart_of_size(context, light)
+            context.measured[CHART_WHITE] = dict(light.record)
+        cube, found = developer_of(camera)(context)
+        cube = mark_glare_in(cube)
+        context.note_bend()
+        notes += [*found, *describe_sensor(context)]
+        notes += note_traps(context.measured, cube, traps.get(sensor.name, []), capture.object)
+        counts = count_above(cube)
+        with placing(sensor.object):
+            require_light(counts, cube.labels)
+        notes += describe_above(counts, cube.labels)
+        measured[sensor.name] = context.measured
+        focus += focus_of([cube])
+        parts.append(Part.held(cube, sensor.name, mosaic=mosaics.get(sensor.name)))
+        del cube  # its sigma, which is packed
     notes += describe_lamp(measured)
     aligns = {sensor.name: sensor.align for sensor in capture.sensors}
     where = f"{capture.object}/{capture.layer}"
     warnings = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
-    return Native(cubes, aligns, captured, warnings, measured, mosaics_of(capture, campaign))
+    return CalibratedCapture(parts, aligns, captured, warnings, measured, focus)
 
 
 def _compare_all(contexts: Sequence[SensorContext]) -> list[str]:

@@ -38,7 +38,7 @@ from levkas.stages.spectra import COVERED, BandWeights, weights_of_bands
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, SensorFrames
-    from levkas.stages.native_cubes import Native
+    from levkas.stages.parts import CalibratedCapture
 
 LEAST_GREYS = 3
 """Grey patches that a level needs: two would hide a third that is dirty."""
@@ -71,14 +71,16 @@ class KnownReflectance(NamedTuple):
     spread: dict[str, float]
 
 
-def lights_by_chart(capture: Capture, campaign: Campaign, native: Native) -> dict[str, ChartLight]:
+def lights_by_chart(
+    capture: Capture, campaign: Campaign, native: CalibratedCapture
+) -> dict[str, ChartLight]:
     """Fit the light of every sensor of a capture to the chart in its counts above dark.
 
     Parameters
     ----------
     capture : Capture
         Whose sensors have frames of a `chart`.
-    native : Native
+    native : CalibratedCapture
         Those frames, calibrated without a white.
 
     Raises
@@ -93,8 +95,9 @@ def lights_by_chart(capture: Capture, campaign: Campaign, native: Native) -> dic
     corners = None if white.corners is None else np.array(white.corners, float)
     lights: dict[str, ChartLight] = {}
     near: np.ndarray | None = None
+    cubes = native.cubes
     for sensor in capture.sensors:
-        cube = native.cubes[sensor.name]
+        cube = cubes[sensor.name]
         try:
             found = locate_in_cube(cube, chart, reference, corners=corners, near=near)
             near = found.corners if near is None else near

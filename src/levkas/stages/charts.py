@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.layout import Places
-    from levkas.stages.native_cubes import Native
+    from levkas.stages.parts import CalibratedCapture
     from levkas.stages.template_cache import TemplateCache
 
 CHART = "ColorChecker24"
@@ -321,7 +321,7 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
         most = min(_shots_of(capture))
         steps = _steps_of(whole)
         return Developed(
-            *(dict(whole.cubes), {}, patterns, whole.captured or "", steps, most, edges),
+            *(whole.cubes, {}, patterns, whole.captured or "", steps, most, edges),
             trapped=_trapped(whole),
         )
     first, second, whole = (develop(p, campaign, templates) for p in (*parts, _joined(*parts)))
@@ -333,11 +333,11 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
     }
     count = 2 * min(_shots_of(parts[0]))
     steps = _steps_of(whole)
-    read = (dict(whole.cubes), shots, patterns, whole.captured or "")
+    read = (whole.cubes, shots, patterns, whole.captured or "")
     return Developed(*read, steps, count, edges, common, _trapped(whole))
 
 
-def _trapped(whole: Native) -> dict[str, dict[str, Any]]:
+def _trapped(whole: CalibratedCapture) -> dict[str, dict[str, Any]]:
     return {name: one[STRAYED] for name, one in whole.measured.items() if STRAYED in one}
 
 
@@ -350,7 +350,9 @@ def _joined(first: Capture, second: Capture) -> Capture:
     return replace(first, sensors=tuple(sensors))
 
 
-def _common_variance(cube: Cube, first: Native, second: Native, name: str) -> np.ndarray | None:
+def _common_variance(
+    cube: Cube, first: CalibratedCapture, second: CalibratedCapture, name: str
+) -> np.ndarray | None:
     """Return the variance that all shots of a chart share, of white and dark; None where noise is not known.
 
     Half of the shots have the variance o + c, all of them o/2 + c.
@@ -374,7 +376,7 @@ def edges_of(campaign: Campaign, capture: Capture) -> dict[str, tuple[EdgePlace,
     }
 
 
-def _steps_of(developed: Native) -> dict[str, tuple[float, ...]]:
+def _steps_of(developed: CalibratedCapture) -> dict[str, tuple[float, ...]]:
     found = {name: of_sensor.get(ROUNDING, {}) for name, of_sensor in developed.measured.items()}
     return {
         name: tuple(float(found[name].get(band.label, 0.0)) for band in cube.bands)

@@ -20,8 +20,9 @@ from levkas.registration.bands import sqrt_images
 from levkas.registration.features import GreyImages
 from levkas.registration.foreground import ObjectArea
 from levkas.registration.record import Sigma
+from levkas.stages.parts import Placement
 from levkas.stages.spectra import middle_band, reference_channel
-from levkas.stages.tiles import TiledCapture, coarseness
+from levkas.stages.tiles import coarseness, view_of_mosaic
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from levkas.geometry.joining import Box
     from levkas.registration import BandImage
     from levkas.registration.predictors import PreparedReference
-    from levkas.stages.tiles import CalibratedCapture
+    from levkas.stages.parts import CalibratedCapture
 
     Grey = tuple[np.ndarray, np.ndarray]
     Region = tuple[float, float, float, float]
@@ -58,7 +59,7 @@ class ReferenceFrame:
         self.campaign, self.places, self.captures = campaign, places, captures
         self.capture = captures[0]
         self._native: CalibratedCapture | None = native
-        self._tiled = native if isinstance(native, TiledCapture) else None
+        self._tiled = native if self.capture.tiles else None
         self._images: Sequence[BandImage] | None = None
         self._own: Registration | None = None
         self._prepared: PreparedReference | None = None
@@ -70,7 +71,7 @@ class ReferenceFrame:
         """Its bands; those of tiles joined, once they are placed. Raises RegistrationRefused (``E_SIZE``) of a mosaic too large for that."""
         if self._images is None:
             if self._tiled is not None:
-                self._images = self._tiled.images(self.band)
+                self._images = view_of_mosaic(self._placed(), self.capture, self.band)
             else:
                 assert self._native is not None
                 native, self._native = self._native, None
@@ -81,22 +82,29 @@ class ReferenceFrame:
     def images(self, images: Sequence[BandImage]) -> None:
         self._images = images
 
+    def _placed(self) -> CalibratedCapture:
+        """Return its tiles, once they are placed."""
+        assert self._tiled is not None
+        if self._tiled.placement is None:
+            self._tiled.placement = Placement.of(record_of(self.places, self.capture))
+        return self._tiled
+
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) of the reference band."""
-        return self._tiled.placed.size if self._tiled is not None else self._image().size
+        return self._image().size if self._tiled is None else self._placed().size_of(self.band)
 
     @property
     def step(self) -> int:
         """Reference px in one of the overview, along a side."""
-        return self._tiled.step if self._tiled is not None else 1
+        return coarseness(*self.size) if self._tiled is not None else 1
 
     @cached_property
     def overview(self) -> Sequence[BandImage]:
         """Its bands, or of a large mosaic those that show it whole with `step` px a side in one."""
         if self._tiled is None or self.step == 1:
             return self.images
-        return self._tiled.images(self.band, step=self.step)
+        return view_of_mosaic(self._placed(), self.capture, self.band, step=self.step)
 
     def part(self, box: Box) -> tuple[Sequence[BandImage], dict[str, Transform], int]:
         """Return the bands in a box, and the maps from px of the box to those of each band's picture.
@@ -105,9 +113,8 @@ class ReferenceFrame:
         third value says how many reference px a side make one of it.
         """
         if self.step > 1:
-            assert self._tiled is not None
             step = coarseness(box[2] - box[0], box[3] - box[1])
-            cut = self._tiled.images(self.band, box, step)
+            cut = view_of_mosaic(self._placed(), self.capture, self.band, box, step)
             return cut, {image.label: Affine.identity() for image in cut}, step
         return *cropped(self.images, self.registration().transforms, box), 1
 

@@ -29,17 +29,16 @@ from levkas.registration.manual_points import ManualPoints
 from levkas.registration.record import COLUMNS, HandMark, Matches
 from levkas.registration.reduced import enlarged
 from levkas.stages.control_points import declared_points, joined, placed_in, placed_pairs
-from levkas.stages.native_cubes import TILE, part_name
-from levkas.stages.tile_layers import (
+from levkas.stages.native_files import TILE, part_name
+from levkas.stages.tile_placement import place_reference
+from levkas.stages.tile_registration import TilesToReference
+from levkas.stages.tiles import (
     FoundTile,
     placement_of,
     results_of,
     sigma_of_mosaic,
     verdict_of,
 )
-from levkas.stages.tile_placement import place_reference
-from levkas.stages.tile_registration import TilesToReference
-from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
@@ -52,15 +51,15 @@ if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
     from levkas.registration import BandImage
     from levkas.registration.predictors import PreparedReference
+    from levkas.stages.parts import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
-    from levkas.stages.tiles import CalibratedCapture
 
 
 def measure(
     capture: Capture, native: CalibratedCapture, frame: ReferenceFrame, campaign: Campaign
 ) -> Measured:
     """Register a capture by itself; `frame` takes the registration of the reference camera's own."""
-    if isinstance(native, TiledCapture):
+    if capture.tiles:
         return _measure_tiles(capture, native, frame, campaign)
     leads = capture is frame.capture
     own = None if leads else frame.registration()
@@ -102,7 +101,7 @@ def measure(
 
 
 def _measure_tiles(
-    capture: Capture, native: TiledCapture, frame: ReferenceFrame, campaign: Campaign
+    capture: Capture, native: CalibratedCapture, frame: ReferenceFrame, campaign: Campaign
 ) -> Measured:
     """Register the tiles of a capture: those of the reference to one another, those of others each to the reference."""
     options = dict(campaign.registration_of(capture.camera))
@@ -111,7 +110,7 @@ def _measure_tiles(
     try:
         if capture is frame.capture:
             by_hand = corrections_beside(campaign, capture)
-            found, placement = place_reference(native, frame.band, campaign, by_hand)
+            found, placement = place_reference(capture, native, frame.band, campaign, by_hand)
             size = placement.size
             extra = {"placement": placement.to_dict()}
             del extra["placement"]["transforms"]
@@ -119,7 +118,7 @@ def _measure_tiles(
             size = frame.size
             channel = frame.channel(capture)
             given = {part.tile: corrections_of(campaign, part, channel) for part in capture.tiles}
-            found = TilesToReference(native, frame, campaign, options, given).run()
+            found = TilesToReference(capture, native, frame, campaign, options, given).run()
     except RegistrationRefused as error:
         refused = error
     if any(one.is_placed for one in found.values()):
@@ -358,7 +357,7 @@ def _results(registration: Registration, native: CalibratedCapture) -> dict[str,
     """Return the part of the record that holds maps, verdict and evidence."""
     record = registration.to_dict()
     bands = {
-        label: {"size": native.size_of(label), "transform": transform.to_dict()}
+        label: {"size": list(native.size_of(label)), "transform": transform.to_dict()}
         for label, transform in registration.transforms.items()
     }
     for label, sigma in registration.sigma.items():

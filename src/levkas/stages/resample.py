@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import nan, prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.calibration.sensor_context import placing
+from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.disk import require_space
 from levkas.core.rounding import STEP_PER_SIGMA
 from levkas.database.credits import credits_of
@@ -17,27 +19,31 @@ from levkas.database.layers import Layer, write_layer
 from levkas.database.preview import encode_png
 from levkas.geometry.joining import describe_steps
 from levkas.quality.evaluation.similarity import structural_similarity
+from levkas.quality.image_quality.glare import setup_gains
 from levkas.readers.frames import read_facts
 from levkas.registration.record import decided
 from levkas.stages.capture_statistics import DefaultLayer, LayerStatistics, describe_flags
-from levkas.stages.native_cubes import least_bytes
+from levkas.stages.native_files import least_bytes
+from levkas.stages.parts import GridRows, Placement, noise_correlation, on_grid, stacked
 from levkas.stages.reference import maps_on_grid
-from levkas.stages.scans import Scan
 from levkas.stages.spectra import broad_centroids
-from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.core.cube import Cube, CubeRows
     from levkas.geometry.joining import Seams
     from levkas.geometry.transforms import Transform
+    from levkas.stages.parts import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
-    from levkas.stages.tiles import CalibratedCapture
 
+THINNED_SAMPLES, THINNED = 100_000_000, 16
+"""Of a layer of more values every sixteenth pixel a side makes its range and noise."""
+COMPARED_BLOCKS = 12
+"""Of rows, over the layer, in which two setups are compared."""
 LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""
 
@@ -82,7 +88,9 @@ def target_of(
     width, height = grid["size"]
     shape = (height, width, len(native.bands))
     default = None
-    if capture.setup and native.quantity == "reflectance" and not isinstance(native, Scan):
+    if capture.tiles:
+        native.placement = Placement.of(record)
+    if capture.setup and native.quantity == "reflectance" and native.is_held:
         values, flags = (places.layer(name, capture.camera, kind=k) for k in (".tif", ".flags.tif"))
         default = DefaultLayer.open(values, flags, shape)
     verdict, encoded = decided(record["verdict"]), _is_encoded(capture, campaign)
@@ -108,15 +116,15 @@ class Resampled:
         Count shown as white, as of `database.layers.write_layer`.
     correlation : ndarray or None
         Of the noise of neighbours, `neighbour_correlation`; None where noise is not known.
-    seams : Seams or None
-        Of tiles: what they differ by, of the rows that have passed.
+    seams : dict of sensor to Seams
+        What tiles or strips differ by, of the rows that have passed.
     """
 
     rows: Cube | CubeRows
     statistics: LayerStatistics
     white: float | None
     correlation: np.ndarray | None = None
-    seams: Seams | None = None
+    seams: Mapping[str, Seams] = field(default_factory=dict)
 
 
 def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFrame) -> Resampled:
@@ -125,15 +133,33 @@ def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFram
     What is held whole is interpolated now; rows of a scan are when they are written.
     """
     size, default, maps = target.size, target.default, target.maps
-    tiled = native if isinstance(native, TiledCapture) else None
-    gains = tiled.setup_gains(default, maps) if tiled and default else None
-    rows = native.on_grid(maps, size, spool=frame.places.kept)
+    with placing(target.capture.sensors[0].object):
+        grid = on_grid(native, maps, size, spool=frame.places.kept)
+    several = default is not None and len(grid.blocks()) > 1
+    gains = _gains(on_grid(native, maps, size), default) if default and several else None
     correlation = None
-    if rows.has_sigma and native.quantity == "reflectance":
-        correlation = native.noise_correlation(maps, size)
-    statistics = LayerStatistics(default, gains, native.thinning)
-    seams = tiled.seams if tiled else None
-    return Resampled(rows, statistics, native.white, correlation, seams)
+    if grid.has_sigma and native.quantity == "reflectance":
+        correlation = noise_correlation(native, maps, size)
+    thinned = not native.is_held or prod(size) * len(native.bands) > THINNED_SAMPLES
+    statistics = LayerStatistics(default, gains, THINNED if thinned else 1)
+    return Resampled(grid.cube(), statistics, _white_of(native), correlation, grid.seams)
+
+
+def _gains(grid: GridRows, default: DefaultLayer) -> np.ndarray:
+    """Return the gains of this setup over the default one, by band, from some rows over the layer."""
+    blocks = grid.blocks()
+    chosen = np.unique(np.linspace(0, len(blocks) - 1, COMPARED_BLOCKS).round().astype(int))
+    ours = stacked([grid.rows(*blocks[number]) for number in chosen], axis=0)
+    theirs = zip(*(default.rows(*blocks[number]) for number in chosen), strict=True)
+    return setup_gains(ours.values, ours.flags, *(np.concatenate(parts) for parts in theirs))
+
+
+def _white_of(native: CalibratedCapture) -> float | None:
+    """Return the count that pictures of a scan show as white; None where the rows themselves show it."""
+    if native.is_held or native.quantity == "reflectance":
+        return None
+    shown = [np.where(i.valid, i.values, np.float32(np.nan))[::4, ::4] for i in native.images()]
+    return counts_white(np.stack(shown, -1), find_rendering(native.bands), step=1)
 
 
 def write_resampled(
@@ -164,8 +190,8 @@ def write_resampled(
     warnings: tuple[str, ...] = ()
     if made.correlation is not None:
         notes["noise_correlation"] = made.correlation.tolist()
-    if made.seams is not None:
-        notes["seams"] = made.seams.records()
+    if made.seams:
+        notes["seams"] = [one for seams in made.seams.values() for one in seams.records()]
         where = f"{target.capture.object}/{target.capture.layer}"
         warnings = tuple(f"{where}: {text}" for text in describe_steps(notes["seams"]))
         notes["warnings"] = list(warnings)

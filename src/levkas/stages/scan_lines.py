@@ -159,16 +159,14 @@ class Strip:
         return FlatLines(flat, np.broadcast_to(lost, shape).sum((0, 1)))
 
 
-def describe_loss(
-    context: SensorContext, lost: np.ndarray, shape: tuple[int, int, int]
-) -> list[str]:
-    """Report how many values of a scan are no finite numbers, of counts by band; nothing where all are.
+def describe_loss(context: SensorContext, lost: np.ndarray, pixels: int) -> list[str]:
+    """Report how many values of a scan of so many pixels are no finite numbers, of counts by band; nothing where all are.
 
     Raises CalibrationRefused where a band has no finite value at all.
     """
-    every = shape[0] * shape[1]
-    if (empty := np.flatnonzero(lost == every)).size:
-        refused = no_values(int(empty[0]), shape)
+    if (empty := np.flatnonzero(lost == pixels)).size:
+        refused = no_values(int(empty[0]), (pixels, 1, len(lost)))
         raise CalibrationRefused(*(placed(p, context.sensor.object) for p in refused.problems))
     count = int(lost.sum())
-    return [describe_lost(count, every * shape[2], context.camera.name)] if count else []
+    name = context.camera.name
+    return [describe_lost(count, pixels * len(lost), name)] if count else []

@@ -1,11 +1,12 @@
-"""Line scans: calibrated by blocks of lines, which are held in memory, or passed on where they are too many."""
+"""Line scans: calibrated by blocks of lines, which are held in memory, or taken whenever they are needed where they are too many."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from itertools import chain
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,38 +16,39 @@ from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.sensor_context import SensorContext, placing
 from levkas.calibration.sensor_notes import describe_sensor, doubts_of
 from levkas.calibration.stated_exposures import require_black, require_exposures
-from levkas.colour.srgb import counts_white, find_rendering
-from levkas.core.cube import UNRELIABLE, Band, Cube, CubeRows, is_flagged
+from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.rounding import round_root
 from levkas.core.threads import each, made_ahead
 from levkas.core.transpose import transpose
+from levkas.geometry.transforms import Affine, Composed, Inverse
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 from levkas.stages.above_white import COUNTS, count_above, describe_above, require_light
-from levkas.stages.capture_statistics import NOISE, VIEW, Middle, describe_lamp
+from levkas.stages.capture_statistics import NOISE, VIEW, Middle, describe_lamp, note_traps
 from levkas.stages.exposures import cube_of, mark_glare_in
+from levkas.stages.parts import (
+    CalibratedCapture,
+    Part,
+    PartPlace,
+    Placement,
+    median_focus,
+)
 from levkas.stages.scan_lines import FlatLines, Strip, describe_loss
-from levkas.stages.scan_templates import block_lines
-from levkas.stages.shared_noise import neighbour_correlation
+from levkas.stages.scan_templates import ScanFile, block_lines, templates_of_scan
 from levkas.stages.spectra import board_of
-from levkas.stages.streaming import resample_scan
-from levkas.stages.strips import JoinedStrips, lines_of_scan
+from levkas.stages.strips import place_strips, require_one_time
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
-    from levkas.geometry.transforms import Transform
     from levkas.stages.template_cache import TemplateCache
 
 STREAMED_SAMPLES = 100_000_000
 """A scan of more samples, of a mirror scanner of a third as many, is not held in memory. Layers, maps and
 records end in the same bytes either way but for the last bits of resampled values; the range on the report's
 page is then that of every sixteenth pixel. A constant, so that results do not hang on the machine's memory."""
-LOOKED_AT_PX, THINNED = 1_000_000, 16
-"""Most pixels of a band as registration takes it; every sixteenth a side is kept in mind for range and noise."""
+LOOKED_AT_PX = 1_000_000
+"""Most pixels of a band of a strip as registration takes it."""
 
 
 def is_streamed(capture: Capture, campaign: Campaign) -> bool:
@@ -66,193 +68,184 @@ def is_streamed(capture: Capture, campaign: Campaign) -> bool:
     return all(one.kind == "envi" for one in facts) and samples > STREAMED_SAMPLES
 
 
-def factor_of(shape: tuple[int, int, int]) -> int:
-    """Return how many px a side of a scan, (lines, samples, bands), make a pixel of its pictures."""
-    return max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / LOOKED_AT_PX))))
+def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) -> CalibratedCapture:
+    """Open a line scan: dark, white and noise are prepared; of the object only strips that are to be joined are read.
+
+    Raises Refused as `calibrate.develop` does.
+    """
+    return Scan.open(capture, campaign, templates).streamed()
 
 
-class ScanSummary(NamedTuple):
-    """What one pass over all lines of a scan shows: notes, pictures for registration, focus by band."""
+def develop_scan(
+    capture: Capture, campaign: Campaign, templates: TemplateCache
+) -> CalibratedCapture:
+    """Calibrate a line scan that is held in memory.
 
-    notes: tuple[str, ...]
-    pictures: list[BandImage]
-    focus: list[dict[str, Any]]
+    Raises Refused: CalibrationRefused where a band has no finite value at all, and where strips cannot be placed.
+    """
+    return Scan.open(capture, campaign, templates).held()
 
 
 @dataclass(eq=False)
 class Scan:
-    """A capture whose lines are calibrated whenever they are needed: a line scan.
+    """A line scan: its strips, left to right, in px of the first, and what is known of it before its lines are calibrated."""
 
-    Parameters
-    ----------
-    source : Strip or JoinedStrips
-        Of its flat-fielded lines.
-    where : str
-        Object and layer, for warnings.
-    captured, aligns
-        As of `native_cubes.Native`.
-    stated : tuple of str
-        Notes on what its files state.
-    """
-
+    capture: Capture
     context: SensorContext
-    source: Strip | JoinedStrips
-    where: str = ""
-    captured: str | None = None
-    aligns: Mapping[str, object] = field(default_factory=dict)
-    stated: tuple[str, ...] = ()
-    is_streamed: ClassVar[bool] = True
-    thinning: ClassVar[int] = THINNED
-    _summary: ScanSummary | None = field(default=None, init=False)
+    strips: Sequence[Strip]
+    placement: Placement | None
+    notes: tuple[str, ...]
+    boxes: Sequence[tuple[int, int, int, int]] = ()
+    """Light traps."""
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Complete when all lines have been calibrated once."""
-        notes = self._summary.notes if self._summary else ()
-        return tuple(dict.fromkeys(f"{self.where}: {note}" for note in (*self._doubts, *notes)))
-
-    @cached_property
-    def _doubts(self) -> tuple[str, ...]:
-        doubts = (*self.stated, *doubts_of(self.context), *describe_sensor(self.context))
-        return (*doubts, *self.source.notes, *describe_lamp(self.measured))
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """(lines, samples, bands)."""
-        return self.source.shape
+    @classmethod
+    def open(cls, capture: Capture, campaign: Campaign, templates: TemplateCache) -> Scan:
+        """Prepare dark, white and noise, and place the strips."""
+        sensor, camera = capture.sensors[0], campaign.cameras[capture.camera]
+        board = board_of(campaign, capture, sensor)
+        context = SensorContext(
+            *(campaign, camera, sensor, read_facts(sensor.object[0].path), templates),
+            reflectance=board.reflectance,
+            doubts=board.notes,
+        )
+        stated = compare_facts(camera, sensor, context.alignments)
+        require_exposures(context)
+        require_black(context)
+        files = [ScanFile.open(frame) for frame in sensor.object]
+        prepared = templates_of_scan(context, files[0].shape)
+        strips = [Strip(context, file, prepared) for file in files]
+        require_one_time(context, prepared)
+        notes = [*stated, *doubts_of(context)]
+        placement = None
+        if len(strips) > 1:
+            placement, found = place_strips(strips)
+            notes += found
+        notes += [*describe_sensor(context), *chain.from_iterable(one.notes for one in strips)]
+        notes += describe_lamp({sensor.name: context.measured})
+        traps = capture.boxes(campaign.targets.traps.get(capture.object, {}))
+        return cls(capture, context, strips, placement, (*notes,), traps.get(sensor.name, []))
 
     @property
     def bands(self) -> tuple[Band, ...]:
         """All bands."""
         return self.context.sensor.bands
 
+    def streamed(self) -> CalibratedCapture:
+        """Return the capture, its lines calibrated whenever they are taken."""
+        parts = []
+        for number, strip in enumerate(self.strips, 1):
+            like = self.room(strip, 0)
+            lines = LineBuffer(self, strip)
+            parts.append(
+                Part(
+                    *(self.context.sensor.name, self.bands, strip.shape, like.quantity),
+                    *(like.has_sigma, lines.read, str(number)),
+                    is_held=False,
+                )
+            )
+        return self._captured(parts, survey=self._survey)
+
+    def held(self) -> CalibratedCapture:
+        """Return the capture, all lines calibrated now."""
+        passing, cubes = ScanPass(self), []
+        for strip in self.strips:
+            cube, y = self.room(strip, strip.shape[0]), 0
+            for block in passing.blocks(strip):
+                _copy(block, slice(None), cube, y)
+                y += len(block.values)
+                del block  # before the next lines are made
+            cubes.append(cube)
+        name = self.context.sensor.name
+        parts = [Part.held(cube, name, name=str(n)) for n, cube in enumerate(cubes, 1)]
+        made = self._captured(parts, focus=median_focus(passing.focus))
+        notes = passing.notes()
+        if self.boxes:
+            box = self.boxes, self.capture.object
+            notes += note_traps(self.context.measured, made.cubes[name], *box)
+        made.warnings = self._warnings(notes)
+        return made
+
+    def _captured(self, parts: Sequence[Part], **more: Any) -> CalibratedCapture:
+        sensor = self.context.sensor
+        return CalibratedCapture(
+            parts,
+            {sensor.name: sensor.align},
+            self.context.facts.captured,
+            self._warnings(()),
+            {sensor.name: self.context.measured},
+            placement=self.placement,
+            **more,
+        )
+
+    def _warnings(self, notes: Sequence[str]) -> tuple[str, ...]:
+        where = f"{self.capture.object}/{self.capture.layer}"
+        return tuple(dict.fromkeys(f"{where}: {note}" for note in (*self.notes, *notes) if note))
+
+    def _survey(self, made: CalibratedCapture) -> None:
+        """Pass over all lines: warnings, focus and pictures are known at the end."""
+        passing, pictures = ScanPass(self), []
+        lines, samples, _ = max(strip.shape for strip in self.strips)
+        made.factor = max(1, int(np.ceil(np.sqrt(lines * samples / LOOKED_AT_PX))))
+        for strip in self.strips:
+            means = Pictures(strip.shape, self.bands, made.factor)
+            for cube in made_ahead(passing.blocks(strip)):
+                means.add(cube)
+                del cube  # before the next lines are made
+            pictures.append(means.images())
+        made.warnings = self._warnings(passing.notes())
+        made.focus = median_focus(passing.focus)
+        made.pictures = pictures[0] if self.placement is None else self._joined(pictures, made)
+
+    def _joined(
+        self, pictures: Sequence[Sequence[BandImage]], made: CalibratedCapture
+    ) -> list[BandImage]:
+        """Return the pictures of all strips as those of one scan."""
+        assert self.placement is not None
+        grow = Affine.of_box(0, 0, made.factor)
+        width, height = (side // made.factor for side in self.placement.size)
+        parts, places = [], {}
+        for part, images in zip(made.parts, pictures, strict=True):
+            values = np.stack([image.values for image in images], -1)
+            lost = np.stack([~image.valid for image in images], -1).astype(np.uint8)
+            cube = Cube(values, lost, None, self.bands, made.quantity)
+            parts.append(Part.held(cube, part.sensor, name=part.name))
+            place = self.placement.parts[part.name]
+            moved = {id(m): Composed(grow, m, Inverse(grow)) for m in place.maps.values()}
+            places[part.name] = PartPlace({k: moved[id(m)] for k, m in place.maps.items()})
+        return CalibratedCapture(parts, placement=Placement(places, (width, height))).images()
+
+    # --- lines
+
+    def room(self, strip: Strip, lines: int) -> Cube:
+        """Return memory for calibrated lines of a strip."""
+        flat = self._first[id(strip)]
+        shape = (lines, *strip.shape[1:])
+        sigma = None if flat.variance is None else np.empty(shape, np.float32)
+        arrays = np.empty(shape, np.float32), np.empty(shape, np.uint8), sigma
+        return Cube(*arrays, self.bands, flat.quantity)
+
     @cached_property
-    def _first(self) -> Calibrated:
-        return self.source.flat(0, 1).flat
-
-    @property
-    def quantity(self) -> str:
-        """``"reflectance"`` where there is a white, else ``"counts"``."""
-        return self._first.quantity
-
-    @property
-    def has_sigma(self) -> bool:
-        """Whether the noise is known."""
-        return self._first.variance is not None
+    def _first(self) -> dict[int, Calibrated]:
+        """The first line of every strip."""
+        return {id(strip): strip.flat(0, 1).flat for strip in self.strips}
 
     @cached_property
     def subspace(self) -> Subspace | None:
         """The signal subspace of the whole scan if HySime is used; found in one pass."""
         if not self.context.camera.denoise:
             return None
-        return find_subspace(block.flat.values for block in self._flat_blocks(0, self.shape[0]))
+        strips = (self.flat_blocks(strip, 0, strip.shape[0]) for strip in self.strips)
+        return find_subspace(block.flat.values for block in chain.from_iterable(strips))
 
-    @property
-    def factor(self) -> int:
-        """Side, px, of the blocks that make a pixel of the pictures that registration sees."""
-        return factor_of(self.shape)
-
-    @property
-    def measured(self) -> dict[str, dict[str, Any]]:
-        """What was measured of the sensor."""
-        return {self.context.sensor.name: self.context.measured}
-
-    @property
-    def focus(self) -> list[dict[str, Any]]:
-        """Blur of the sharpest edges, band by band."""
-        return self.summary.focus
-
-    def sensors(self) -> Iterator[tuple[str, CubeRows]]:
-        """Yield the sensor's name and its lines, from which `summary` follows."""
-        rows = CubeRows(self.passed(), self.shape, self.bands, self.quantity, self.has_sigma)
-        yield self.context.sensor.name, rows
-
-    def packed(self) -> Scan:
-        """Return the scan itself: it holds nothing."""
-        return self
-
-    def size_of(self, _label: str) -> list[int]:
-        """Return [width, height] of any band."""
-        return [self.shape[1], self.shape[0]]
-
-    def blocks(self, start: int, stop: int) -> Iterator[Cube]:
-        """Yield lines `start` to `stop`, calibrated, some at a time."""
-        projecting = Projecting(self.subspace) if self.subspace else None
-        for flat, _ in self._flat_blocks(start, stop):
-            yield self._finished(flat, projecting)
-            del flat  # its memory is that of the lines, which may have been done with
-
-    def whole(self) -> tuple[Cube, tuple[str, ...]]:
-        """Calibrate all lines; return them in memory, and notes.
-
-        Raises CalibrationRefused where a band has no finite value at all.
-        """
-        values, flags = np.empty(self.shape, np.float32), np.empty(self.shape, np.uint8)
-        sigma = np.empty(self.shape, np.float32) if self.has_sigma else None
-        calibration, y = ScanPass(self), 0
-        for block in calibration.blocks():
-            rows = slice(y, y + len(block.values))
-            y = rows.stop
-            values[rows], flags[rows] = block.values, block.flags
-            if sigma is not None:
-                sigma[rows] = block.sigma
-        calibration.note()
-        cube = Cube(values, flags, sigma, self.bands, self.quantity)
-        return cube, (*self.source.notes, *calibration.notes())
-
-    def passed(self) -> Iterator[Cube]:
-        """Yield all lines, calibrated; pictures, focus and warnings are known when the last has been taken.
-
-        Raises CalibrationRefused where a band has no finite value at all.
-        """
-        calibration, pictures = ScanPass(self), Pictures(self.shape, self.bands, self.factor)
-        middle = Middle(self.shape, self.bands)
-        for cube in made_ahead(calibration.blocks()):
-            pictures.add(cube)
-            middle.add(cube)
-            yield cube
-        calibration.note()
-        self._summary = ScanSummary(calibration.notes(), pictures.images(), middle.focus())
-
-    @property
-    def summary(self) -> ScanSummary:
-        """What a pass over all lines shows; one is made where there was none."""
-        if self._summary is None:
-            for _ in self.passed():
-                pass
-        assert self._summary is not None
-        return self._summary
-
-    def images(self) -> list[BandImage]:
-        """Return every band as registration takes it: means of blocks of `factor` x `factor` px."""
-        return self.summary.pictures
-
-    @property
-    def white(self) -> float | None:
-        """Count that pictures show as white, of the whole scan; None for reflectance, where it is 1."""
-        if self.quantity == "reflectance":
-            return None
-        shown = [np.where(i.valid, i.values, np.float32(np.nan))[::4, ::4] for i in self.images()]
-        return counts_white(np.stack(shown, -1), find_rendering(self.bands), step=1)
-
-    def noise_correlation(self, maps: Mapping[str, Transform], size: tuple[int, int]) -> np.ndarray:
-        """Return the correlation of the noise of neighbours on the grid."""
-        return neighbour_correlation([maps[band.label] for band in self.bands], size[::-1])
-
-    def on_grid(
-        self, maps: Mapping[str, Transform], size: tuple[int, int], *, spool: Path
-    ) -> CubeRows:
-        """Return the layer's rows, each pixel interpolated once, as they are taken."""
-        with placing(self.context.sensor.object):
-            return resample_scan(self, [maps[band.label] for band in self.bands], size, spool=spool)
-
-    def _flat_blocks(self, start: int, stop: int) -> Iterator[FlatLines]:
-        step = block_lines(self.shape)
+    def flat_blocks(self, strip: Strip, start: int, stop: int) -> Iterator[FlatLines]:
+        """Yield flat-fielded lines of a strip, some at a time."""
+        step = block_lines(strip.shape)
         for y in range(start, stop, step):
-            yield self.source.flat(y, min(y + step, stop))
+            yield strip.flat(y, min(y + step, stop))
 
-    def _finished(self, flat: Calibrated, projecting: Projecting | None) -> Cube:
-        """Round flat-fielded lines and flag glare; `projecting` takes noise away before."""
+    def finished(self, lines: FlatLines, projecting: Projecting | None) -> Cube:
+        """Return lines rounded and glare flagged; `projecting` takes noise away before."""
+        flat = lines.flat
         values, variance = flat.values, flat.variance
         if projecting is not None:
             if variance is not None:
@@ -261,61 +254,94 @@ class Scan:
         return mark_glare_in(cube_of(self.context, values, flat.flags, variance, flat.quantity))
 
 
-class ScanPass:
-    """One pass over lines of a scan, which counts what frames lost and what denoising takes away.
+class LineBuffer:
+    """Stretches of calibrated lines of a strip: lines that a stretch has in common with the one before are not calibrated again."""
 
-    `lost` are the values of each band, (bands,), that are no finite numbers, and 0 in the cubes; `above` is what `count_above` gives,
-    `sums` are of all `count` values of each band.
-    """
+    def __init__(self, scan: Scan, strip: Strip) -> None:
+        self._scan, self._strip = scan, strip
+        self._last: tuple[int, Cube] | None = None
+
+    def read(self, start: int, stop: int, noisy: bool) -> Cube:
+        """Return lines `start` to `stop`; sigma is kept for the next stretch, and cannot be written to."""
+        scan, lines, fresh = self._scan, self._scan.room(self._strip, stop - start), start
+        if self._last is not None:
+            first, before = self._last
+            if first <= start < first + len(before.values):
+                fresh = min(first + len(before.values), stop)
+                _copy(before, slice(start - first, fresh - first), lines, 0)
+            self._last = None
+            del before  # its memory goes before more is taken
+        projecting = Projecting(scan.subspace) if scan.subspace else None
+        for block in scan.flat_blocks(self._strip, fresh, stop):
+            _copy(scan.finished(block, projecting), slice(None), lines, fresh - start)
+            fresh += len(block.flat.values)
+            del block  # before the next lines are made
+        if lines.sigma is not None:
+            lines.sigma.flags.writeable = False
+        self._last = start, lines
+        return lines
+
+
+def _copy(source: Cube, rows: slice, into: Cube, at: int) -> None:
+    """Copy rows of a cube to those of another from `at` on."""
+    count = len(source.values[rows])
+    for name in ("values", "flags", "sigma"):
+        if (array := getattr(source, name)) is not None:
+            getattr(into, name)[at : at + count] = array[rows]
+
+
+class ScanPass:
+    """One pass over all lines of a scan, which counts what frames lost and what denoising takes away."""
 
     def __init__(self, scan: Scan) -> None:
-        self._scan = scan
-        self.lost = np.zeros(scan.shape[2], np.int64)
-        self.above = np.zeros((COUNTS, scan.shape[2]), np.int64)
-        self.sums, self.count = np.zeros(scan.shape[2]), 0
+        self._scan, bands = scan, len(scan.bands)
+        self._lost = np.zeros(bands, np.int64)
+        self._above = np.zeros((COUNTS, bands), np.int64)
+        self._sums, self._count = np.zeros(bands), 0
         self._projecting = Projecting(scan.subspace) if scan.subspace else None
+        self._quantity = "counts"
+        self.focus: list[list[dict[str, Any]]] = []
+        """Of every strip that has passed."""
 
-    def blocks(self) -> Iterator[Cube]:
-        """Yield all lines, calibrated, some at a time."""
-        for block in self._scan._flat_blocks(0, self._scan.shape[0]):
-            self.lost += block.lost
-            cube = self._scan._finished(block.flat, self._projecting)
-            self.above += count_above(cube)
+    def blocks(self, strip: Strip) -> Iterator[Cube]:
+        """Yield all lines of a strip, calibrated, some at a time."""
+        middle = Middle(strip.shape, self._scan.bands)
+        for block in self._scan.flat_blocks(strip, 0, strip.shape[0]):
+            self._lost += block.lost
+            cube = self._scan.finished(block, self._projecting)
+            self._quantity = cube.quantity
+            self._above += count_above(cube)
             for line in cube.values:  # one by one: sums do not depend on how lines come in
-                self.sums += line.sum(0, dtype=float)
-                self.count += len(line)
+                self._sums += line.sum(0, dtype=float)
+                self._count += len(line)
+            middle.add(cube)
             yield cube
-            del cube  # its memory is that of the lines, which may have been done with
+            del cube, block  # their memory is that of the lines, which may have been done with
+        self.focus.append(middle.focus())
 
-    def note(self) -> None:
-        """Note the mean of the view, and what makes the noise there, in what was measured of the sensor."""
-        scan = self._scan
-        if scan.quantity != "reflectance":
-            return
-        levels = self.sums / max(self.count, 1)
-        strip = (
-            scan.source.strips[0].strip if isinstance(scan.source, JoinedStrips) else scan.source
-        )
-        measured, labels = scan.context.measured, [band.label for band in scan.bands]
-        measured[VIEW] = {
-            b: float(f"{at:.4g}") for b, at in zip(labels, levels.tolist(), strict=True)
-        }
-        if shares := strip.noise_shares(levels):
-            measured[NOISE] = shares
+    def notes(self) -> list[str]:
+        """Report what was lost and taken away; note the mean of the view, and what makes the noise there.
 
-    def notes(self) -> tuple[str, ...]:
-        """Report what was lost and taken away; raises CalibrationRefused where a band has no finite value."""
-        notes = describe_loss(self._scan.context, self.lost, self._scan.shape)
+        Raises CalibrationRefused where a band has no finite value at all.
+        """
+        scan, labels = self._scan, [band.label for band in self._scan.bands]
+        if self._quantity == "reflectance":
+            levels = self._sums / max(self._count, 1)
+            means = zip(labels, levels.tolist(), strict=True)
+            scan.context.measured[VIEW] = {label: float(f"{at:.4g}") for label, at in means}
+            if shares := scan.strips[0].noise_shares(levels):
+                scan.context.measured[NOISE] = shares
+        pixels = sum(strip.shape[0] * strip.shape[1] for strip in scan.strips)
+        notes = describe_loss(scan.context, self._lost, pixels)
         if (projection := self._projecting) is not None:
             notes.append(describe_removed(projection.subspace, projection.removed, projection.most))
-        labels = [band.label for band in self._scan.bands]
-        with placing(self._scan.context.sensor.object):
-            require_light(self.above, labels)
-        return (*notes, *describe_above(self.above, labels))
+        with placing(scan.context.sensor.object):
+            require_light(self._above, labels)
+        return [*notes, *describe_above(self._above, labels)]
 
 
 class Pictures:
-    """Every band of a scan of some `shape`, (lines, samples, bands), as registration takes it, gathered while its lines pass by.
+    """Every band of a strip of some `shape`, (lines, samples, bands), as registration takes it, gathered while its lines pass by.
 
     A pixel is the mean of `factor` x `factor` px.
     """
@@ -353,34 +379,3 @@ class Pictures:
             return BandImage(band.label, band.wavelength, values, valid)
 
         return each(image, self._bands, self._sums, self._counts)
-
-
-def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Scan:
-    """Open a line scan: dark, white and noise are prepared; of the object only strips that are to be joined are read.
-
-    Raises Refused as `calibrate.develop` does.
-    """
-    sensor = capture.sensors[0]
-    facts = read_facts(sensor.object[0].path)
-    camera = campaign.cameras[capture.camera]
-    board = board_of(campaign, capture, sensor)
-    context = SensorContext(
-        *(campaign, camera, sensor, facts, templates),
-        reflectance=board.reflectance,
-        doubts=board.notes,
-    )
-    stated = tuple(compare_facts(camera, sensor, context.alignments))
-    require_exposures(context)
-    require_black(context)
-    where, aligns = f"{capture.object}/{capture.layer}", {sensor.name: sensor.align}
-    lines = lines_of_scan(context)
-    return Scan(context, lines, where, facts.captured, aligns, stated=stated)
-
-
-def develop_scan(context: SensorContext) -> tuple[Cube, list[str]]:
-    """Calibrate a line scan that is held in memory, strips joined; return it with notes.
-
-    Raises CalibrationRefused as `flat_field` does, and where strips cannot be joined.
-    """
-    cube, notes = Scan(context, lines_of_scan(context)).whole()
-    return cube, [*notes]

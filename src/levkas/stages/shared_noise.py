@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,6 @@ LEAST_SHARED = 1.04
 NOISES, REACH, MOST_REACH, CHANCE = 4, 4.0, 16, 0.006
 """Fields of noise whose products are averaged; pixels of the sensor, and most of the grid, over which noise is shared; a correlation
 that is one of chance, three of its standard deviations."""
-COURSE = (-0.8, -0.3, 0.3, 0.8)
-"""Of the swing of a strip's course, where its lines lie at several fractions of a pixel."""
 
 
 class Mosaic(NamedTuple):
@@ -97,65 +95,11 @@ def _noise_of(seed: int, mosaic: Mosaic | None) -> np.ndarray:
     return noise[..., noise.shape[2] // 2]
 
 
-def shared_by_strips(
-    seams: Sequence[Mapping[str, Any]],
-    width: int,
-    maps: Sequence[Transform],
-    shape: tuple[int, int],
-) -> np.ndarray:
-    """Return the same for each column of a scan joined of strips, (width,) float32.
-
-    Parameters
-    ----------
-    seams : sequence of mapping
-        As `strips.Seam.record` gives them, left to right.
-    width : int
-        Of the joined scan, samples.
-    maps, shape
-        As of `shared_noise`.
-
-    Notes
-    -----
-    A strip that lies a fraction of a pixel beside the first was interpolated into its pixels. Where two strips are
-    averaged by their noise, each gives a part of the variance that is one over its own.
-    """
-    factors = np.ones(width, np.float32)
-    place, before = np.zeros(2), (1.0, 1.0)
-    for seam in seams:
-        place = place + np.asarray(seam["offset_px"], float)
-        swing = np.array(COURSE if seam["swing_px"] >= 0.1 else (0.0,)) * seam["swing_px"]
-        own = np.mean([_moved_noise(place + s, maps, shape) for s in swing], axis=0)
-        start = int(np.ceil(place[0]))
-        stop = int(np.floor(place[0] + seam["overlap_px"]))
-        factors[start:] = own[0]
-        factors[start:stop] = (before[0] / before[1] + own[0] / own[1]) / (
-            1 / before[1] + 1 / own[1]
-        )
-        before = own
-    return factors
-
-
 @cache
 def _white_noise(seed: int = 0) -> np.ndarray:
     noise = np.random.default_rng(seed).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
     noise.flags.writeable = False
     return noise
-
-
-def _moved_noise(
-    place: np.ndarray, maps: Sequence[Transform], shape: tuple[int, int]
-) -> tuple[float, float]:
-    """Return the factor of noise that was moved to a place, (x, y) px, and its variance before it is resampled."""
-    x, y = place % 1
-    if max(min(x, 1 - x), min(y, 1 - y)) < 1e-3:
-        return 1.0, 1.0
-    noise = _white_noise()
-    move = Affine(np.array([[1.0, 0, x], [0, 1.0, y]]))
-    warped = warp(noise, move, (NOISE_PX, NOISE_PX), variance=np.ones_like(noise))
-    assert warped.variance is not None
-    bands = [maps[len(maps) // 2]]  # those of a line scanner differ by hundredths of a pixel
-    values, variance = (np.nan_to_num(part)[..., None] for part in (warped.values, warped.variance))
-    return float(_over_independent(values, variance, bands, shape)[0]), float(np.median(variance))
 
 
 def _over_independent(

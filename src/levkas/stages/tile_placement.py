@@ -15,14 +15,15 @@ from levkas.geometry.transforms import Affine, Composed, Inverse
 from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.record import Sigma, Verdict
 from levkas.registration.tiles import TilePlacement, place_tiles
-from levkas.stages.tile_layers import FoundTile, left_out
-from levkas.stages.tiles import TiledCapture
+from levkas.stages.tiles import FoundTile, left_out
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
     from levkas.geometry.transforms import Transform
     from levkas.registration import BandImage
     from levkas.registration.manual_points import ManualPoints
+    from levkas.stages.parts import CalibratedCapture
 
 Point = tuple[float, float]
 SCALE_PAIRS, LEAST_SCALE_PAIRS = 8, 3
@@ -35,7 +36,8 @@ RIGID = ("pattern", "sensors", "file")
 
 
 def place_reference(
-    native: TiledCapture,
+    capture: Capture,
+    native: CalibratedCapture,
     band: str,
     campaign: Campaign,
     by_hand: Mapping[tuple[str, str], ManualPoints],
@@ -44,11 +46,11 @@ def place_reference(
 
     Raises RegistrationRefused where no two tiles overlap.
     """
-    tiles = _Pictures(native, band)
-    stage = places_of_stage(native, campaign)
+    tiles = _Pictures(native, [tile.tile for tile in capture.tiles], band)
+    stage = places_of_stage(capture, campaign)
     starts = _starts(tiles, stage) if len(tiles) > FEW_TILES else None
     placement = place_tiles(tiles, starts=starts, by_hand=by_hand)
-    if placement.left_out and not starts and campaign.cameras[native.capture.camera].positions:
+    if placement.left_out and not starts and campaign.cameras[capture.camera].positions:
         # Of few tiles too they say where one lies that shows no detail.
         known = _starts(tiles, stage)
         other = place_tiles(tiles, starts=known, by_hand=by_hand) if known else placement
@@ -56,7 +58,7 @@ def place_reference(
     if starts and placement.left_out:  # names or positions may be wrong
         other = place_tiles(tiles, by_hand=by_hand)
         placement = other if len(other.left_out) < len(placement.left_out) else placement
-    rigid = campaign.cameras[native.capture.camera].traits.bands_in in RIGID
+    rigid = campaign.cameras[capture.camera].traits.bands_in in RIGID
     own = _own_bands(native, band, list(placement.transforms), rigid=rigid)
     found = {}
     for name in tiles:
@@ -80,12 +82,9 @@ def place_reference(
 class _Pictures(Mapping[str, "BandImage"]):
     """The pictures of tiles in one band, read whenever they are needed."""
 
-    def __init__(self, native: TiledCapture, band: str) -> None:
-        self._native, self._band = native, band
-        self._names = [part.tile for part in native.capture.tiles]
-        self.sizes: dict[str, tuple[int, int]] = {}
-        for name in self._names:
-            self.sizes[name] = native.size_of_tile(name, band)
+    def __init__(self, native: CalibratedCapture, names: Sequence[str], band: str) -> None:
+        self._native, self._names, self._band = native, names, band
+        self.sizes = {name: native.tile(name).size_of(band) for name in names}
 
     def __getitem__(self, name: str) -> BandImage:
         images = self._native.tile(name).images()
@@ -104,7 +103,7 @@ def _even(sigma: float, size: tuple[int, int]) -> Sigma:
 
 
 def _own_bands(
-    native: TiledCapture, band: str, tiles: Sequence[str], *, rigid: bool
+    native: CalibratedCapture, band: str, tiles: Sequence[str], *, rigid: bool
 ) -> dict[str, dict[str, Transform]]:
     """Return for every tile px of the reference band → px of each band.
 
@@ -137,7 +136,7 @@ def _own_bands(
     return {name: found.get(name, found[best[1]]) for name in tiles}
 
 
-def _own(native: TiledCapture, name: str, band: str) -> Registration | None:
+def _own(native: CalibratedCapture, name: str, band: str) -> Registration | None:
     whole = native.tile(name)
     images = whole.images()
     align = {s: Affine(np.array(a, float)) for s, a in native.aligns.items() if a != "measure"}
@@ -159,10 +158,10 @@ def detail_of(images: Sequence[BandImage], band: str) -> float:
 # --- where a stage put tiles
 
 
-def places_of_stage(native: TiledCapture, campaign: Campaign) -> dict[str, Point]:
+def places_of_stage(capture: Capture, campaign: Campaign) -> dict[str, Point]:
     """Return where tiles are, by the declared positions, else by rows and columns in their names; nothing where neither says."""
-    names = [part.tile for part in native.capture.tiles]
-    declared = campaign.cameras[native.capture.camera].positions
+    names = [tile.tile for tile in capture.tiles]
+    declared = campaign.cameras[capture.camera].positions
     if declared:
         known = read_positions(campaign.root / declared)
         return {name: known[name] for name in names if name in known}

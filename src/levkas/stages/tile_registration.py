@@ -21,15 +21,16 @@ from levkas.registration.measured_bands import measured_bands
 from levkas.registration.predictors import PreparedReference
 from levkas.registration.record import HandMark, Matches, Sigma
 from levkas.registration.reduced import FACTOR, LEAST_SIDE, reduced
-from levkas.stages.tile_layers import FoundTile, left_out
 from levkas.stages.tile_placement import detail_of, places_of_stage, stage_distance
-from levkas.stages.tiles import TiledCapture
+from levkas.stages.tiles import FoundTile, left_out
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
     from levkas.geometry.joining import Box
     from levkas.geometry.transforms import Transform
     from levkas.registration import BandImage
+    from levkas.stages.parts import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
 
 Corrections = tuple[Mapping[str, ManualPoints], Mapping[str, float]]
@@ -56,22 +57,23 @@ class TilesToReference:
 
     def __init__(
         self,
-        native: TiledCapture,
+        capture: Capture,
+        native: CalibratedCapture,
         frame: ReferenceFrame,
         campaign: Campaign,
         options: Mapping[str, Any],
         given: Mapping[str, Corrections],
     ) -> None:
-        self._native, self._frame, self._given = native, frame, given
+        self._capture, self._native, self._frame, self._given = capture, native, frame, given
         self._options = {k: v for k, v in options.items() if k not in ("outline", "layer")}
-        self._stage = places_of_stage(native, campaign)
+        self._stage = places_of_stage(capture, campaign)
         self._own = frame.registration()
         self._label = native.bands[0].label
         self.found: dict[str, FoundTile] = {}
 
     def run(self) -> dict[str, FoundTile]:
         """Return every tile as it was found."""
-        names = [part.tile for part in self._native.capture.tiles]
+        names = [part.tile for part in self._capture.tiles]
         detail = {name: detail_of(self._native.tile(name).images(), self._label) for name in names}
         waiting = sorted(names, key=lambda name: (-detail[name], name))
         again = []
@@ -90,7 +92,7 @@ class TilesToReference:
 
     def _register(self, name: str) -> FoundTile:
         images, factor = self._native.tile(name).images(), 1
-        size = self._native.size_of_tile(name, self._label)
+        size = self._native.tile(name).size_of(self._label)
         expected = self._begun_by_hand(name) or self._predicted(name)
         expected = expected or self._begin(images, factor)
         if expected is None and min(images[0].size) >= FACTOR * LEAST_SIDE:  # a macro photograph
@@ -118,7 +120,7 @@ class TilesToReference:
 
     def _begun_by_hand(self, name: str) -> Transform | None:
         """Return where a person's pairs put a tile, reference px → native px; None where there are too few."""
-        given = self._given.get(name, ({}, {}))[0].get(self._native.capture.sensors[0].name)
+        given = self._given.get(name, ({}, {}))[0].get(self._capture.sensors[0].name)
         pairs = given.fixed if given else np.zeros((0, 4))
         enough = (
             len(pairs) >= LEAST_PAIRS and np.linalg.matrix_rank(pairs[:, :2] - pairs[0, :2]) > 1
@@ -127,7 +129,7 @@ class TilesToReference:
 
     def _begin(self, images: Sequence[BandImage], factor: int) -> Transform | None:
         """Return where key points put a tile in the whole reference, reference px → native px; None where they do not agree."""
-        sensor = self._native.capture.sensors[0].name
+        sensor = self._capture.sensors[0].name
         bands = by_wavelength([one for one in images if one.sensor == sensor])
         there = present_bands(bands)
         shown = sqrt_images([there[i] for i in measured_bands(there)])
@@ -158,7 +160,7 @@ class TilesToReference:
         height, width = images[0].values.shape
         places = np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]) * (width, height)
         starts = np.hstack([places, grow.inverse(expected(corner(places)))])
-        first = self._native.capture.sensors[0].name
+        first = self._capture.sensors[0].name
         given = {
             sensor: pairs.moved(back, grow.inverse) for sensor, pairs in corrections[0].items()
         }

@@ -33,7 +33,7 @@ from levkas.database.layout import Places
 from levkas.database.registrations import apply_confirmation, digest_of_map, unchecked_share
 from levkas.pages.page import describe_decision
 from levkas.registration.record import COLUMNS, DECISIONS, Matches, decided
-from levkas.stages.native_cubes import part_name
+from levkas.stages.native_files import part_name
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
 from levkas.workbench.pictures import ShownPicture, read_picture
 from levkas.workbench.session import CorrectionSession, OperationRefused, RecordedPairs

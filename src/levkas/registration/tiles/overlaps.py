@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from levkas.geometry.transforms import Affine, Composed, Transform
-from levkas.registration.local_shifts import CELL_PX, Predictor, WindowShifts, detail_on_grid
+from levkas.registration.local_shifts import (
+    CELL_PX,
+    Predictor,
+    WindowShifts,
+    detail_on_grid,
+    highpass,
+    picture_on_grid,
+)
 from levkas.registration.models import (
     Observations,
     fit_polynomial,
@@ -185,8 +192,7 @@ class _Place:
             return None
         corner = Affine(np.array([[1.0, 0, self.left], [0, 1, self.top]]))
         onto = Composed(corner, transform)
-        one = detail_on_grid(first, corner, shape, step=step)
-        two = detail_on_grid(second, onto, shape, step=step)
+        one, two = _details((first, second), (corner, onto), shape, step)
         cell = self.cell(step)
         found = Predictor(one[None], step=float(step), cell=cell).compare(two)
         points = corner(found.centres)
@@ -204,6 +210,17 @@ class _Place:
             if found is not None and found.usable.any():
                 shares.append(found.found.r2[found.usable])
         return float(np.percentile(np.concatenate(shares), CHANCE_PERCENT)) if shares else 0.0
+
+
+def _details(
+    pictures: Sequence[np.ndarray], maps: Sequence[Transform], shape: tuple[int, int], step: int
+) -> list[np.ndarray]:
+    """Return the detail of pictures where all of them are: a mean that reaches farther in one than in another would move it."""
+    found = [picture_on_grid(p, m, shape, step=step) for p, m in zip(pictures, maps, strict=True)]
+    missing = np.any(np.isnan(found), axis=0)
+    for picture in found:
+        picture[missing] = np.nan
+    return [highpass(picture) for picture in found]
 
 
 def _good(compared: _Compared, least: float = LEAST_R2) -> np.ndarray:
