@@ -5,9 +5,9 @@ import pytest
 
 from levkas.geometry.transforms import Affine, Homography
 from levkas.registration import BandImage, register
-from levkas.registration.initial import fit_initial_transform
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.outliers import RemovalTerms, clean
+from levkas.registration.starts import fit_initial_transform
 
 SIZE = (800, 600)
 

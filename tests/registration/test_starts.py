@@ -5,8 +5,8 @@ import pytest
 
 from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.registration.initial import start_candidates
 from levkas.registration.manual_points import ManualPoints
+from levkas.registration.starts import start_candidates
 
 INSIDE = np.array([[60.0, 50.0], [220.0, 160.0]])
 

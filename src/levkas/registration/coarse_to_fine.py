@@ -25,7 +25,6 @@ from levkas.registration.initial import (
     find_initial_transform,
     implausible,
     is_plausible,
-    seed_with_points,
 )
 from levkas.registration.line_correction import LineCorrection, find_correction
 from levkas.registration.line_displacement import LineDisplacement, measure_line_displacement
@@ -42,6 +41,7 @@ from levkas.registration.predictors import (
     resample_band,
 )
 from levkas.registration.record import RegistrationRefused, Sigma, refusal
+from levkas.registration.starts import seed_with_points
 from levkas.registration.uncertainty import measure_sigma, with_lines
 from levkas.registration.verdict import SCALES, Evidence, Light
 from levkas.registration.verification import (

@@ -1,7 +1,6 @@
 """Foreground: where the object lies in the reference, as its outline declares it or as an even ground sets it off.
 
-Only the object is compared. An outline that is declared goes before one that is segmented; without either the whole
-frame is the object.
+Only the object is compared. An outline that is declared goes before one that is segmented; without either the whole frame is the object.
 """
 
 from __future__ import annotations
@@ -11,7 +10,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
+from scipy import ndimage
 
 from levkas.registration.bands import region_mask
 
@@ -22,16 +23,14 @@ LEAST_RIM = 0.6
 MOST_UNEVEN = 0.1
 """Five standard deviations of the rim, a share of the picture's range, up to which it is an even ground. Of photographs of
 paintings and sections on a ground 0.00 to 0.05, of pictures that fill their frame 0.16 and more."""
-LEAST_OBJECT = 0.1
-"""Share of the frame below which what stands out from a ground is not taken for the object."""
-LEAST_BODY = 0.001
-"""Share of the frame from which on a body is a part of the object, and not dust: 28 px square in a megapixel. With half or
-twice of it outlines of paintings differ by less than 1 %."""
+LEAST_OBJECT, LEAST_BODY = 0.1, 0.001
+"""Shares of the frame: below the first what stands out from a ground is not taken for the object; from the second on a body is a part of
+it, and not dust: 28 px square in a megapixel. With half or twice of it outlines of paintings differ by less than 1 %."""
 OUTLINE_SHARE = 0.004
-"""Tolerance of a segmented outline's polygon, a share of the longer side: 4 px in 1000, as wide as the rim that is left
-out."""
+"""Tolerance of a segmented outline's polygon, a share of the longer side: 4 px in 1000, as wide as the rim that is left out."""
 
 Corners = Sequence[Sequence[float]] | np.ndarray
+_NO_CORNERS = np.empty((0, 2))
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class ObjectArea:
     """Whether the outline was segmented; else it is declared."""
     region: tuple[float, ...] | None = None
     """In reference px: declared for the published frame: nothing outside is compared."""
-    edge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    edge: np.ndarray = field(default_factory=lambda: _NO_CORNERS)
     """(n, 2), reference px. The outline without tolerance: the corners that are declared, or the hull of what was segmented."""
     sides: tuple[float, float] | None = None
     """In reference px: as of `measure_sides`; None where the whole frame is the object."""
@@ -73,24 +72,20 @@ class ObjectArea:
         >>> declared.automatic, float(round(declared.share_of(None), 2))
         (False, 0.51)
         """
-        declared = outline is not None and len(outline) > 0
-        sides: tuple[float, float] | None
-        if declared:
-            corners = np.asarray(outline, float)
-            body, edge, sides = fill_polygon(corners, image.shape), corners, _sides_around(corners)
-        else:
-            body = segment_foreground(image)
-            found = not body.all()
-            corners, edge = (corners_of(body), _hull_of(body)) if found else (np.empty((0, 2)),) * 2
-            sides = measure_sides(image, body) if found else None
         known = None if region is None else tuple(float(v) for v in region)
-        return cls(body, corners, not declared and len(corners) > 0, known, edge, sides)
+        if outline is not None and len(outline) > 0:
+            corners = np.asarray(outline, float)
+            body = fill_polygon(corners, image.shape)
+            return cls(body, corners, False, known, corners, _sides_around(corners))
+        body = segment_foreground(image)
+        if body.all():
+            return cls(body, _NO_CORNERS, False, known)
+        sides = measure_sides(image, body)
+        return cls(body, corners_of(body), True, known, _hull_of(body), sides)
 
     @cached_property
     def compared(self) -> np.ndarray:
         """Pixels that are compared, (h, w) bool: in the region, and 4 px inside the outline."""
-        from scipy import ndimage
-
         inside = region_mask(self.region, self.body.shape)
         if self.body.all():
             return inside
@@ -99,35 +94,24 @@ class ObjectArea:
     def share_of(self, layer: Corners | None) -> float:
         """Return the share of a layer that shows the object, 0 … 1.
 
-        Parameters
-        ----------
-        layer : (4, 2) corners, reference px, or None
-            Of the published frame, of which what the reference's frame holds counts. Without one the region, or the whole
-            frame, is the layer.
+        A layer is given by the four corners of the published frame, reference px, of which what the reference's frame holds counts. Without
+        one the region, or the whole frame, is the layer.
         """
         if layer is None:
             return float(self.body[region_mask(self.region, self.body.shape)].mean())
         # A lattice over the quadrangle: its share needs no exact edge.
-        u, v = ((np.arange(n) + 0.5) / n for n in (400, 400))
+        u = (np.arange(400) + 0.5)[:, None] / 400
         corners = np.asarray(layer, float)
-        top = corners[0] + u[:, None] * (corners[1] - corners[0])
-        bottom = corners[3] + u[:, None] * (corners[2] - corners[3])
-        points = top[None] + v[:, None, None] * (bottom - top)[None]
+        top = corners[0] + u * (corners[1] - corners[0])
+        bottom = corners[3] + u * (corners[2] - corners[3])
+        points = top + u[:, None] * (bottom - top)
         x, y = np.rint(points.reshape(-1, 2)).astype(int).T
         height, width = self.body.shape
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
         return float(self.body[y[inside], x[inside]].mean()) if inside.any() else 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready record.
-
-        Returns
-        -------
-        mask : dict
-            ``automatic``: whether an object was segmented from its background; ``share`` of the reference's frame that the
-            object takes; ``outline``: its corners, (n, 2) reference px, empty where the whole frame is the object;
-            ``region``.
-        """
+        """Return a JSON-ready record; ``share`` is the object's of the reference's frame."""
         return {
             "automatic": self.automatic,
             "share": round(float(self.body.mean()), 4),
@@ -137,17 +121,12 @@ class ObjectArea:
 
 
 def segment_foreground(image: np.ndarray) -> np.ndarray:
-    """Return where the object is, (h, w) bool: all bodies on an even ground, and what lies between them.
+    """Return where the object is in a picture, (h, w), NaN where invalid: all bodies on an even ground, and what lies between them.
 
     The ground is what is as even as the frame's rim and connected to it. The object is the convex hull of all that
     stands out from it: parts of a painting that look like the ground (a sky, worn paint) and the spaces between the
     fields of a palette are parts of the object. Where the rim is not even, or next to nothing stands out,
     everything is object.
-
-    Parameters
-    ----------
-    image : ndarray, (h, w)
-        NaN where invalid.
 
     Examples
     --------
@@ -159,13 +138,10 @@ def segment_foreground(image: np.ndarray) -> np.ndarray:
     >>> bool(segment_foreground(np.random.default_rng(1).uniform(size=(60, 80))).all())
     True
     """
-    from scipy import ndimage
-
     everything = np.ones(image.shape, bool)
-    known = np.isfinite(image)
-    if not known.any():
+    if not np.isfinite(image).any():
         return everything
-    smooth = ndimage.gaussian_filter(np.where(known, image, np.median(image[known])), 1.5)
+    smooth = _smooth(image)
     rim = everything.copy()
     width = max(3, min(image.shape) // 100)
     rim[width:-width, width:-width] = False
@@ -190,42 +166,32 @@ def segment_foreground(image: np.ndarray) -> np.ndarray:
     return hull if hull.mean() >= LEAST_OBJECT else everything
 
 
+def _smooth(image: np.ndarray) -> np.ndarray:
+    filled = np.where(np.isfinite(image), image, np.median(image[np.isfinite(image)]))
+    return np.asarray(ndimage.gaussian_filter(filled, 1.5))
+
+
 def measure_sides(image: np.ndarray, body: np.ndarray) -> tuple[float, float]:
-    """Return the sides, px, the shorter first, of the smallest rectangle around an object on an even ground.
+    """Return the sides, px, the shorter first, of the smallest rectangle around an object, `body`, (h, w) bool, on an even ground.
 
     A side lies where its contrast with the ground is half of what it is up to 4 px further in: `segment_foreground`
     takes all that stands out, blurred, and is up to 3 px wider on every side.
-
-    Parameters
-    ----------
-    image : ndarray, (h, w)
-        NaN where invalid.
-    body : ndarray of bool, (h, w)
-        The object, as it was segmented.
     """
-    from scipy import ndimage
-
-    smooth = ndimage.gaussian_filter(np.nan_to_num(image, nan=np.nanmedian(image)), 1.5)
+    smooth = _smooth(image)
     contrast = np.abs(smooth - np.median(smooth[~body]))
     clear = contrast > 5 * 1.4826 * np.median(contrast[~body])
-    half = contrast >= ndimage.maximum_filter(contrast, 9) / 2
-    found = body & clear & half
+    found = body & clear & (contrast >= ndimage.maximum_filter(contrast, 9) / 2)
     width, height = _sides_around(_hull_of(found if found.any() else body))
     return width + 1, height + 1  # a hull of pixels joins their centres
 
 
 def _sides_around(corners: np.ndarray) -> tuple[float, float]:
-    """Return the sides of the smallest rectangle around points, (n, 2), the shorter first."""
-    import cv2
-
     sides = sorted(cv2.minAreaRect(np.asarray(corners, np.float32))[1])
     return float(sides[0]), float(sides[1])
 
 
 def _hull_of(found: np.ndarray) -> np.ndarray:
     """Return the corners of the convex hull of marked pixels, (n, 2) px."""
-    import cv2
-
     y, x = np.nonzero(found)
     return np.asarray(cv2.convexHull(np.stack([x, y], 1).astype(np.int32)).reshape(-1, 2), float)
 
@@ -236,8 +202,6 @@ def fill_polygon(corners: Corners, shape: tuple[int, ...]) -> np.ndarray:
     >>> fill_polygon([(1, 1), (3, 1), (3, 2), (1, 2)], (4, 5)).sum()
     np.int64(6)
     """
-    import cv2
-
     inside = np.zeros(shape, np.uint8)
     cv2.fillPoly(inside, [np.rint(np.asarray(corners, float)).astype(np.int32)], 1)
     return inside.astype(bool)
@@ -245,11 +209,9 @@ def fill_polygon(corners: Corners, shape: tuple[int, ...]) -> np.ndarray:
 
 def corners_of(body: np.ndarray) -> np.ndarray:
     """Return the corners of the largest body, (n, 2) px, to about as many px as its rim is wide; none without any."""
-    import cv2
-
     found, _ = cv2.findContours(body.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     if not found:
-        return np.empty((0, 2))
+        return _NO_CORNERS
     largest = max(found, key=cv2.contourArea)
     corners = cv2.approxPolyDP(largest, OUTLINE_SHARE * max(body.shape), True)
     return np.asarray(corners.reshape(-1, 2), float)
@@ -263,10 +225,9 @@ def nearest_within(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
     [[4.0, 5.0], [10.0, 5.0], [0.0, 0.0]]
     """
     outside = ~contains(outline, points)
-    start, side = outline, np.roll(outline, -1, 0) - outline
-    there = points[outside][:, None]
-    along = ((there - start) * side).sum(2) / np.maximum((side**2).sum(1), 1e-12)
-    feet = start + np.clip(along, 0, 1)[..., None] * side
+    side, there = np.roll(outline, -1, 0) - outline, points[outside][:, None]
+    along = ((there - outline) * side).sum(2) / np.maximum((side**2).sum(1), 1e-12)
+    feet = outline + np.clip(along, 0, 1)[..., None] * side
     closest = np.linalg.norm(there - feet, axis=2).argmin(1)
     moved = np.array(points, float)
     moved[outside] = feet[np.arange(len(feet)), closest]
@@ -279,10 +240,8 @@ def contains(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
     >>> contains(np.array([[0.0, 0], [10, 0], [0, 10]]), np.array([[2.0, 2], [8, 8]])).tolist()
     [True, False]
     """
-    inside = np.zeros(len(points), bool)
-    x, y = points.T
-    for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, 0), strict=True):
-        crosses = (ay > y) != (by > y)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inside ^= crosses & (x < ax + (y - ay) * (bx - ax) / (by - ay))
-    return inside
+    (ax, ay), (bx, by) = outline.T, np.roll(outline, -1, 0).T
+    x, y = points.T[:, :, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crosses = ((ay > y) != (by > y)) & (x < ax + (y - ay) * (bx - ax) / (by - ay))
+    return np.asarray(crosses.sum(1) % 2 == 1)

@@ -24,14 +24,7 @@ from levkas.registration.coarse_to_fine import (
     register_sensor,
 )
 from levkas.registration.features import CameraFeatures, GreyImages
-from levkas.registration.initial import (
-    agreeing_pairs,
-    begin_with,
-    begin_with_pairs,
-    find_coarse_transform,
-    find_initial_transform,
-    start_candidates,
-)
+from levkas.registration.initial import find_coarse_transform, find_initial_transform
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.map_stack import gather_signal
 from levkas.registration.measured_bands import measured_bands
@@ -46,6 +39,12 @@ from levkas.registration.record import (
     describe_windows,
 )
 from levkas.registration.reference_bands import lie_together, register_own_bands
+from levkas.registration.starts import (
+    agreeing_pairs,
+    begin_with,
+    begin_with_pairs,
+    start_candidates,
+)
 from levkas.registration.verdict import ALIGN_PX, ONLY, Judged, judge
 
 if TYPE_CHECKING:

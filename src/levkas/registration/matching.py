@@ -1,8 +1,7 @@
 """Matching of descriptors by brute force, exact and independent of the number of threads.
 
-The paper's method matches one to one by a row of `MATCHERS` (`match`). The default method also accepts inverted
-contrast and mirror images, and keeps how size, direction and descriptor of two key points compare
-(`match_mutually`, `match_widely`): where most matches are wrong these show which agree.
+The paper's method matches one to one by a row of `MATCHERS` (`match`). The default method also accepts inverted contrast and mirror
+images, and keeps how size, direction and descriptor of two key points compare: where most matches are wrong these show which agree.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ import numpy as np
 from levkas.registration.features import KeyPoints, invert_descriptors, mirror_descriptors
 from levkas.registration.record import refusal
 
-#: Largest ratio of nearest to second nearest distance ([lowe2004]_ §7.1): one to one, and mutual.
 RATIO, MUTUAL_RATIO = 0.9, 0.92
-#: Candidates of every key point where matches are sought widely.
+"""Largest ratio of nearest to second nearest distance ([lowe2004]_ §7.1): one to one, and mutual. VLFeat's default is 0.816."""
 WIDELY = 3
+"""Candidates of every key point where matches are sought widely."""
 
 
 @dataclass(frozen=True)
@@ -35,26 +34,40 @@ class Neighbours:
     """(m,). Nearest reference descriptor of every target descriptor."""
 
 
+def find_neighbours(reference: np.ndarray, target: np.ndarray) -> Neighbours:
+    """Return exact nearest neighbours of `reference`, (n, d), among `target`, (m, d).
+
+    Distances of whole-numbered float32 descriptors are exact, so that the answer does not depend on the number of threads.
+    """
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING if reference.dtype == np.uint8 else cv2.NORM_L2)
+    found = matcher.knnMatch(reference, target, k=2)
+    return Neighbours(
+        np.array([pair[0].trainIdx for pair in found], int),
+        np.array([pair[0].distance for pair in found], float),
+        np.array([pair[1].distance if len(pair) > 1 else np.inf for pair in found], float),
+        np.array([one.trainIdx for one in matcher.match(target, reference)], int),
+    )
+
+
+def _is_mutual(found: Neighbours) -> np.ndarray:
+    return np.asarray(found.back[found.nearest] == np.arange(len(found.nearest)))
+
+
+MATCHERS: dict[str, Callable[[Neighbours, float], np.ndarray]] = {
+    "mutual-ratio": lambda f, ratio: _is_mutual(f) & (f.distance < ratio * f.second),
+    "mutual": lambda f, ratio: _is_mutual(f),
+    "ratio": lambda f, ratio: f.distance < ratio * f.second,
+}
+"""Which pairs are matches, (n,) bool: each other's nearest, clearly nearer than the next, or both."""
+
+
 def match(
     reference: KeyPoints, target: KeyPoints, *, matching: str = "mutual-ratio", ratio: float = RATIO
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pair key points by their descriptors.
+    """Return rows and columns of the pairs, ascending by row, and distances of their descriptors, (k,) each.
 
-    Raises RegistrationRefused where there is no such method, or `ratio` is not in (0, 1].
-
-    Parameters
-    ----------
-    matching : str
-        A key of `MATCHERS`.
-    ratio : float
-        Largest ratio of nearest to second nearest distance, where the method uses it.
-
-    Returns
-    -------
-    rows, columns : ndarray of int, (k,)
-        Pairs, ascending by row; no place in either picture is in two of them.
-    distance : ndarray, (k,)
-        Of the descriptors.
+    No place in either picture is in two of them: key points with two orientations stand at one place, and nearer descriptors go first.
+    Raises RegistrationRefused where `matching` is no key of `MATCHERS`, or `ratio` is not in (0, 1].
     """
     if matching not in MATCHERS or not 0 < ratio <= 1:
         name, value = ("matching", matching) if matching not in MATCHERS else ("ratio", ratio)
@@ -71,67 +84,16 @@ def match(
     found = find_neighbours(reference.descriptors, target.descriptors)
     rows = np.flatnonzero(MATCHERS[matching](found, ratio))
     columns, distance = found.nearest[rows], found.distance[rows]
-    kept = _one_to_one(reference.points[rows], target.points[columns], distance)
-    return rows[kept], columns[kept], distance[kept]
-
-
-def find_neighbours(reference: np.ndarray, target: np.ndarray) -> Neighbours:
-    """Return exact nearest neighbours of `reference`, (n, d), among `target`, (m, d).
-
-    Distances of whole-numbered float32 descriptors are exact, so that the answer does not depend
-    on the number of threads.
-    """
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING if reference.dtype == np.uint8 else cv2.NORM_L2)
-    found = matcher.knnMatch(reference, target, k=2)
-    second = [pair[1].distance if len(pair) > 1 else np.inf for pair in found]
-    back = [one.trainIdx for one in matcher.match(target, reference)]
-    return Neighbours(
-        np.array([pair[0].trainIdx for pair in found], int),
-        np.array([pair[0].distance for pair in found], float),
-        np.array(second, float),
-        np.array(back, int),
-    )
-
-
-def mutual_ratio(found: Neighbours, ratio: float) -> np.ndarray:
-    """Pairs that are each other's nearest and clearly nearer than the next: (n,) bool."""
-    return mutual(found, ratio) & lowe_ratio(found, ratio)
-
-
-def mutual(found: Neighbours, ratio: float) -> np.ndarray:
-    """Pairs that are each other's nearest: (n,) bool."""
-    return np.asarray(found.back[found.nearest] == np.arange(len(found.nearest)))
-
-
-def lowe_ratio(found: Neighbours, ratio: float) -> np.ndarray:
-    """Pairs clearly nearer than the next: (n,) bool. VLFeat's default is 0.816."""
-    return np.asarray(found.distance < ratio * found.second)
-
-
-MATCHERS: dict[str, Callable[[Neighbours, float], np.ndarray]] = {
-    "mutual-ratio": mutual_ratio,
-    "mutual": mutual,
-    "ratio": lowe_ratio,
-}
-
-
-def _one_to_one(reference: np.ndarray, target: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Return sorted rows such that no place is used twice; nearer descriptors go first.
-
-    Key points with two orientations stand at one place and would count twice.
-    """
-    _, at_reference = np.unique(reference, axis=0, return_inverse=True)
-    _, at_target = np.unique(target, axis=0, return_inverse=True)
-    at_reference, at_target = at_reference.ravel(), at_target.ravel()
-    order = np.lexsort((np.arange(len(distance)), distance))
-    taken_reference = np.zeros(len(reference), bool)
-    taken_target = np.zeros(len(reference), bool)
+    taken: tuple[set[tuple[float, ...]], ...] = set(), set()
     kept = []
-    for i in order:
-        if not (taken_reference[at_reference[i]] or taken_target[at_target[i]]):
-            taken_reference[at_reference[i]] = taken_target[at_target[i]] = True
+    for i in np.argsort(distance, kind="stable"):
+        places = tuple(reference.points[rows[i]]), tuple(target.points[columns[i]])
+        if not any(place in used for place, used in zip(places, taken, strict=True)):
+            for place, used in zip(places, taken, strict=True):
+                used.add(place)
             kept.append(i)
-    return np.sort(np.array(kept, int))
+    order = np.sort(np.array(kept, int))
+    return rows[order], columns[order], distance[order]
 
 
 # --- matches of either contrast, and of mirror images
@@ -170,16 +132,13 @@ def match_mutually(a: KeyPoints, b: KeyPoints, *, mirror: bool) -> TentativeMatc
     if len(a) < 2 or len(b) < 2:
         return _NONE
     alike = _likeness(a.descriptors, b.descriptors, mirror)
-    best = alike.argmax(1)
-    rows = np.arange(len(alike))
-    top = alike[rows, best]
-    mutual = alike.argmax(0)[best] == rows
+    rows, best = np.arange(len(alike)), alike.argmax(1)
+    top, mutual = alike[rows, best], alike.argmax(0)[best] == rows
     alike[rows, best] = -1
     # Key points with several main directions repeat; the second candidate has to lie elsewhere.
     second_at = alike.argmax(1)
-    second = alike[rows, second_at]
     same = np.abs(b.points[second_at] - b.points[best]).max(1) < 2
-    clear = (1 - top) < MUTUAL_RATIO**2 * (1 - second)
+    clear = (1 - top) < MUTUAL_RATIO**2 * (1 - alike[rows, second_at])
     good = mutual & (clear | same)
     return _compared(a[good], b[best[good]], top[good], mirror)
 
@@ -189,12 +148,12 @@ def match_widely(a: KeyPoints, b: KeyPoints, *, mirror: bool) -> TentativeMatche
     if len(a) < 2 or len(b) < WIDELY:
         return _NONE
     alike = _likeness(a.descriptors, b.descriptors, mirror)
-    rows, best = np.arange(len(alike)), []
+    rows, found = np.arange(len(alike)), []
     for _ in range(WIDELY):
-        columns = alike.argmax(1)
-        best.append((columns, alike[rows, columns]))
-        alike[rows, columns] = -np.inf
-    columns, likeness = (np.stack(of, 1).reshape(-1) for of in zip(*best, strict=True))
+        best = alike.argmax(1)
+        found.append((best, alike[rows, best]))
+        alike[rows, best] = -np.inf
+    columns, likeness = (np.stack(of, 1).reshape(-1) for of in zip(*found, strict=True))
     return _compared(a[np.repeat(rows, WIDELY)], b[columns], likeness, mirror)
 
 

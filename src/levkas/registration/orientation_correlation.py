@@ -34,41 +34,35 @@ class OrientationSettings:
     coarse_side: int = 96
     fine_side: int = 128
     block_side: int = 256
-    """`coarse_side`, `fine_side`, `block_side`: in px: longer side of the pictures: in the search over all poses, about the
-    best, and for blocks."""
+    """Longer side of the pictures: in the search over all poses, about the best, and for blocks."""
     smoothing: float = 1.2
     smoothing_of_blocks: float = 1.5
-    """`smoothing`, `smoothing_of_blocks`: in px: sigma of the Gaussian before gradients are taken."""
     surround: float = 6.0
-    """In px: sigma over which gradients are set in relation to their surroundings."""
+    """Sigma of the Gaussian before gradients are taken, and over which these are set in relation to their surroundings."""
     quadrants: tuple[float, ...] = (0.0, 90.0)
     turns: tuple[float, ...] = (-10.0, -5.0, 0.0, 5.0, 10.0)
-    """`quadrants`, `turns`: in degrees: rotations: each quadrant with each turn about it, and the same half turned."""
     scales: tuple[float, ...] = (0.64, 0.71, 0.8, 0.89, 1.0, 1.12, 1.25, 1.4, 1.57)
-    """Relative to frames that show the same."""
+    """Poses: each quadrant with each turn about it, degrees, and the same half turned, by each scale relative to frames that show the same."""
     candidates: int = 6
-    """Poses that are refined."""
     apart: tuple[float, float] = (12.0, 1.28)
-    """Degrees, and ratio of scales, beyond which two poses differ."""
+    """Poses that are refined; degrees, and ratio of scales, beyond which two differ."""
     least_ratio: float = 1.1
     """Correlation of the best pose over that of the best one far from it. 1.00 to 1.22 before other objects, 1.14 to 2.8
     before the same (`benchmarks/verdict.py unlike`)."""
     least_overlap: float = 0.35
     """0..1. Share of the smaller picture's edges that lie within the other."""
     blocks: tuple[int, int] = (6, 5)
-    """Columns and rows of blocks."""
     reach: int = 10
-    """In px: how far a block is searched."""
+    """Columns and rows of blocks, and how far each is searched."""
     limits: tuple[float, ...] = (8.0, 6.0, 4.0, 3.0, 3.0)
-    """In px: residuals up to which blocks agree on an affine map, one fit after another."""
+    """Residuals up to which blocks agree on an affine map, one fit after another."""
     agreement: float = 2.0
-    """In px: how far a block lies at most from where a map puts it."""
+    """How far a block lies at most from where a map puts it."""
     least_shown: float = 0.5
     """0..1. Share of a block that both pictures show."""
     least_blocks: int = 12
     least_share: float = 0.5
-    """`least_blocks`, `least_share`: blocks that have to agree, and as a share of those that both show: 0 to 0.33 before
-    other objects, 0.7 to 1 before the same."""
+    """Blocks that have to agree, and as a share of those that both show: 0 to 0.33 before other objects, 0.7 to 1 before the same."""
 
 
 SETTINGS = OrientationSettings()
@@ -163,30 +157,16 @@ def edge_directions(image: np.ndarray, valid: np.ndarray, sigma: float) -> EdgeF
 
 
 class ReducedPictures:
-    """Grey pictures of one camera, cut to the object and reduced until the longer side is `side` px.
-
-    Parameters
-    ----------
-    greys : sequence of ndarray, (h, w), float32
-        NaN where invalid.
-    side : int, px
-    within : ndarray of bool, (h, w), optional
-        Where the object lies.
-
-    Attributes
-    ----------
-    frame : int, px
-        Longer side of the whole frame, as it is.
-    back : Affine
-        Reduced px → px of the frame.
-    """
+    """Grey pictures of one camera, (h, w), NaN where invalid, cut to the object (`within`) and reduced until the longer side is `side` px."""
 
     def __init__(
         self, greys: Sequence[np.ndarray], side: int, within: np.ndarray | None = None
     ) -> None:
         inside = np.ones(greys[0].shape, bool) if within is None else within
-        box = _bounding_box(inside)
+        x, y, width, height = cv2.boundingRect((inside | ~inside.any()).astype(np.uint8))
+        box = np.s_[y : y + height, x : x + width]
         self.frame = max(greys[0].shape)
+        """Longer side of the whole frame, px."""
         share = min(1.0, side / max(inside[box].shape))
         self.greys = []
         for grey in greys:
@@ -195,8 +175,8 @@ class ReducedPictures:
             low, high = np.percentile(small[valid], (0.5, 99.5)) if valid.any() else (0.0, 1.0)
             even = np.clip((small - low) / max(high - low, 1e-12), 0, 1).astype(np.float32)
             self.greys.append((np.where(valid, even, np.float32(0.5)), valid))
-        corner = np.array([box[1].start, box[0].start], float)
-        self.back = Affine(np.column_stack([reduced.matrix[:, :2], reduced.matrix[:, 2] + corner]))
+        # reduced px → px of the frame
+        self.back = Affine(np.column_stack([reduced.matrix[:, :2], reduced.matrix[:, 2] + (x, y)]))
         self.shape = self.greys[0][0].shape
 
     @property
@@ -223,65 +203,37 @@ class ReducedPictures:
         return _sum(fields)
 
 
-def _bounding_box(inside: np.ndarray) -> tuple[slice, slice]:
-    """Return the rows and columns of a mask; all of them where it is empty."""
-    rows, columns = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
-    if not len(rows):
-        return slice(0, inside.shape[0]), slice(0, inside.shape[1])
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-
-
 def _sum(fields: Sequence[EdgeField]) -> EdgeField:
     values = np.sum([field.values for field in fields], axis=0)
     return EdgeField(values, np.any([field.valid for field in fields], axis=0))
 
 
-class _Correlator:
-    """One field, correlated with others at all shifts.
-
-    Only the real part of the correlation counts, so that real transforms of either part suffice; they are
-    as large as the two fields side by side, so that nothing wraps around.
-    """
-
-    def __init__(self, field: EdgeField) -> None:
-        self._field = field
-        self._energy = float(np.square(np.abs(field.values)).sum())
-        self._transforms: dict[tuple[int, ...], list[np.ndarray]] = {}
-
-    def best_shifts(self, field: EdgeField, *, half_turned: bool) -> list[tuple[float, np.ndarray]]:
-        """Return (score, (x, y) shift) of the place where another field agrees best; then of it `half_turned`.
-
-        The score is the correlation over what both show, times the root of the share that they share.
-        To correlate with a field that is turned by 180 degrees is to convolve with it as it is.
-        """
-        sides = zip(self._field.values.shape, field.values.shape, strict=True)
-        shape = tuple(fft.next_fast_len(a + b, real=True) for a, b in sides)
-        if shape not in self._transforms:
-            self._transforms[shape] = _transforms(self._field, shape)
-        mine, theirs = self._transforms[shape], _transforms(field, shape)
-        whole = max(min(self._energy, float(np.square(np.abs(field.values)).sum())), 1e-12)
-        found, size = [], np.array(field.values.shape)
-        for turned in (False, True)[: 1 + half_turned]:
-            along, down, power, valid = mine if turned else [np.conj(part) for part in mine]
-            cross = fft.irfft2(along * theirs[0] + down * theirs[1], shape)
-            powers = [fft.irfft2(a, shape) for a in (power * theirs[3], valid * theirs[2])]
-            shared = np.sqrt(np.maximum(powers[0], 0) * np.maximum(powers[1], 0))
-            share = np.minimum(shared / whole, 1)
-            enough = share > SETTINGS.least_overlap
-            scores = np.where(enough, cross * np.sqrt(share) / np.maximum(shared, 1e-9), -1.0)
-            k = int(scores.argmax())
-            place = np.array(np.unravel_index(k, scores.shape))
-            # Of a correlation, negative shifts lie at the far end.
-            shift = size - 1 - place if turned else np.where(place < size, place, place - shape)
-            found.append((float(scores.flat[k]), shift[::-1].astype(float)))
-        return found
+Parts = tuple[np.ndarray, ...]
+"""Transforms of both parts of a field, of its power and of where it is valid."""
 
 
-def _transforms(field: EdgeField, shape: tuple[int, ...]) -> list[np.ndarray]:
-    """Return the transforms of both parts of a field, of its power and of where it is valid."""
+def _transforms(field: EdgeField, shape: tuple[int, ...]) -> Parts:
     values = field.values
     parts = (values.real, values.imag, np.square(np.abs(values)), field.valid.astype(np.float32))
-    return [fft.rfft2(part, shape) for part in parts]
+    return tuple(fft.rfft2(part, shape) for part in parts)
+
+
+def _best_shift(
+    mine: Parts, theirs: Parts, shape: tuple[int, ...], energy: float
+) -> tuple[float, np.ndarray]:
+    """Return the score and the place, (row, column), of the best of all shifts; `energy` is that of the weaker field.
+
+    The score is the correlation over what both show, times the root of the share that they share. Only the real part of the correlation
+    counts, so that real transforms of either part suffice.
+    """
+    cross = fft.irfft2(mine[0] * theirs[0] + mine[1] * theirs[1], shape)
+    powers = [fft.irfft2(a, shape) for a in (mine[2] * theirs[3], mine[3] * theirs[2])]
+    shared = np.sqrt(np.maximum(powers[0], 0) * np.maximum(powers[1], 0))
+    share = np.minimum(shared / energy, 1)
+    scores = cross * np.sqrt(share) / np.maximum(shared, 1e-9)
+    scores = np.where(share > SETTINGS.least_overlap, scores, -1.0)
+    k = int(scores.argmax())
+    return float(scores.flat[k]), np.array(np.unravel_index(k, scores.shape))
 
 
 def find_poses(
@@ -294,33 +246,36 @@ def find_poses(
 ) -> list[CoarsePose]:
     """Return `poses` with the shift at which edges agree best, and their scores, the best first.
 
-    Parameters
-    ----------
-    poses : sequence of CoarsePose
-        Their shifts are found anew.
-    sigma : float, px
-    half_turned : bool
-        Whether each pose is tried turned by 180 degrees too.
+    With `half_turned` each pose is tried turned by 180 degrees too: to correlate with a field that is turned is to convolve with it as it is.
     """
     longest = 2 * max(*ours.shape, *theirs.shape)
-    correlator = _Correlator(ours.directions(sigma))
+    own, known = ours.directions(sigma), {}
+    energy = float(np.square(np.abs(own.values)).sum())
 
     def placed(pose: CoarsePose) -> list[CoarsePose]:
         linear = _linear(pose, ours, theirs)
         corners = np.array(list(product((0, theirs.shape[1] - 1), (0, theirs.shape[0] - 1))), float)
         laid = corners @ np.linalg.inv(linear).T
-        low = laid.min(0)
-        size = np.ceil(np.ptp(laid, 0)).astype(int) + 1
+        low, size = laid.min(0), np.ceil(np.ptp(laid, 0)).astype(int) + 1
         if size.max() > longest:
             return []
         # px of the grid → px of theirs
-        matrix = np.column_stack([linear, linear @ low])
-        field = theirs.warped(matrix, tuple(size[::-1]), sigma)
-        (score, shift), *turned = correlator.best_shifts(field, half_turned=half_turned)
+        field = theirs.warped(np.column_stack([linear, linear @ low]), tuple(size[::-1]), sigma)
+        # as large as the two fields side by side, so that nothing wraps around
+        sides = zip(ours.shape, field.values.shape, strict=True)
+        shape = tuple(fft.next_fast_len(a + b, real=True) for a, b in sides)
+        if shape not in known:
+            known[shape] = _transforms(own, shape)
+        least = max(min(energy, float(np.square(np.abs(field.values)).sum())), 1e-12)
+        there = _transforms(field, shape)
+        score, place = _best_shift(tuple(np.conj(a) for a in known[shape]), there, shape, least)
+        # negative shifts lie at the far end
+        shift = np.where(place < size[::-1], place, place - shape)[::-1]
         whole = np.column_stack([linear, linear @ (low + shift)])
         found = [pose._replace(score=score, matrix=whole)]
-        for score, shift in turned:
-            whole = np.column_stack([-linear, linear @ (low + size - 1 - shift)])
+        if half_turned:
+            score, place = _best_shift(known[shape], there, shape, least)
+            whole = np.column_stack([-linear, linear @ (low + place[::-1])])
             found.append(pose._replace(score=score, matrix=whole, angle=pose.angle + np.pi))
         return found
 
@@ -339,14 +294,9 @@ def _linear(pose: CoarsePose, ours: ReducedPictures, theirs: ReducedPictures) ->
 def match_by_directions(
     reference: Sequence[np.ndarray], target: Sequence[np.ndarray], within: np.ndarray | None = None
 ) -> BlockMatches | None:
-    """Match blocks of two cameras' pictures by the directions of edges; None where no pose stands out.
+    """Match blocks of two cameras' grey pictures, (h, w), NaN where invalid, by the directions of edges; None where no pose stands out.
 
-    Parameters
-    ----------
-    reference, target : sequence of ndarray, (h, w), float32
-        Grey pictures of a camera, NaN where invalid.
-    within : ndarray of bool, (h, w), optional
-        Where the object lies in the reference.
+    `within`, (h, w) bool, is where the object lies in the reference.
     """
     begun = [
         CoarsePose(0.0, np.deg2rad(quadrant + turn), scale, mirrored, np.eye(2, 3))
@@ -371,9 +321,18 @@ def match_near(
     *,
     mirrored: bool,
 ) -> BlockMatches | None:
-    """Return the affine map on which blocks agree near `transform`, or None; parameters are those of `match_by_directions`."""
+    """Return the affine map on which blocks agree near `transform`, within a third of their reach; None where too few do."""
     blocks = match_blocks(reference, target, transform, within)
-    return _agreeing(blocks, transform, mirrored=mirrored)
+    p, fitted = blocks.centres, transform
+    q = transform(p + blocks.shift)
+    scale = float(np.sqrt(abs(np.linalg.det(transform.matrix[:, :2]))))
+    kept = np.ones(len(p), bool)
+    for limit in SETTINGS.limits:
+        kept = np.linalg.norm(fitted(p) - q, axis=1) < limit * blocks.step * scale
+        if kept.sum() < SETTINGS.least_blocks or kept.mean() < SETTINGS.least_share:
+            return None
+        fitted = Affine.fit(p[kept], q[kept])
+    return BlockMatches(p, q, kept, fitted, mirrored)
 
 
 def _refined(
@@ -404,13 +363,10 @@ def _refined(
     best, others = refined[0], refined[1:]
     if best.score < SETTINGS.least_ratio * max((p.score for p in others), default=0.0):
         return None
-    return best._replace(matrix=_unreduced(best.matrix, ours, theirs))
-
-
-def _unreduced(matrix: np.ndarray, ours: ReducedPictures, theirs: ReducedPictures) -> np.ndarray:
-    """Return the map between full pictures, 2 x 3, of one between reduced ones."""
-    full = np.vstack([theirs.back.matrix, [0, 0, 1]]) @ np.vstack([matrix, [0, 0, 1]])
-    return np.asarray((full @ np.linalg.inv(np.vstack([ours.back.matrix, [0, 0, 1]])))[:2])
+    back, matrix, own = (
+        np.vstack([m, [0, 0, 1]]) for m in (theirs.back.matrix, best.matrix, ours.back.matrix)
+    )
+    return best._replace(matrix=(back @ matrix @ np.linalg.inv(own))[:2])
 
 
 def match_blocks(
@@ -419,17 +375,7 @@ def match_blocks(
     transform: Transform,
     within: np.ndarray | None = None,
 ) -> BlockShifts:
-    """Find where blocks of the reference lie around the place that a map gives them, by directions of edges.
-
-    Parameters
-    ----------
-    reference, target : sequence of ndarray, (h, w), float32
-        Grey pictures of a camera, NaN where invalid.
-    transform : Transform
-        Reference px → target px.
-    within : ndarray of bool, (h, w), optional
-        Where the object lies in the reference.
-    """
+    """Find where blocks of the reference lie around the place that a map gives them, by directions of edges; as `match_by_directions`."""
     sigma, reach = SETTINGS.smoothing_of_blocks, SETTINGS.reach
     ours = ReducedPictures(reference, SETTINGS.block_side, within)
     theirs = ReducedPictures(target, 2 * SETTINGS.block_side)
@@ -452,8 +398,8 @@ def match_blocks(
         left, top = max(x - reach, 0), max(y - reach, 0)
         area = ground.values[top : y + high + reach, left : x + wide + reach]
         scores = sum(
-            cv2.matchTemplate(a, b, cv2.TM_CCORR)
-            for a, b in zip(_parts(area), _parts(block), strict=True)
+            cv2.matchTemplate(np.ascontiguousarray(a), np.ascontiguousarray(b), cv2.TM_CCORR)
+            for a, b in ((area.real, block.real), (area.imag, block.imag))
         )
         row, column = np.unravel_index(int(np.argmax(scores)), np.shape(scores))
         centres.append((x + (wide - 1) / 2, y + (high - 1) / 2))
@@ -461,21 +407,3 @@ def match_blocks(
     step = ours.step
     at = np.array(centres, float).reshape(-1, 2)
     return BlockShifts(ours.back(at), step * np.array(shifts, float).reshape(-1, 2), step)
-
-
-def _parts(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return np.ascontiguousarray(values.real), np.ascontiguousarray(values.imag)
-
-
-def _agreeing(blocks: BlockShifts, begun: Affine, *, mirrored: bool) -> BlockMatches | None:
-    """Fit an affine map to the blocks that agree, within a third of the reach; None where too few do."""
-    p, fitted = blocks.centres, begun
-    q = begun(p + blocks.shift)
-    scale = float(np.sqrt(abs(np.linalg.det(begun.matrix[:, :2]))))
-    kept = np.ones(len(p), bool)
-    for limit in SETTINGS.limits:
-        kept = np.linalg.norm(fitted(p) - q, axis=1) < limit * blocks.step * scale
-        if kept.sum() < SETTINGS.least_blocks or kept.mean() < SETTINGS.least_share:
-            return None
-        fitted = Affine.fit(p[kept], q[kept])
-    return BlockMatches(p, q, kept, fitted, mirrored)

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.bands import BandImage, sqrt_images
-from levkas.registration.features import KeyPoints, ScaledFeatures
+from levkas.registration.features import CameraFeatures, KeyPoints
 from levkas.registration.initial import fit_robustly
 from levkas.registration.local_shifts import detail_on_grid
 from levkas.registration.matching import match_mutually
@@ -55,9 +55,7 @@ class TilePictures:
     def key_points(self, name: str) -> KeyPoints:
         """Return the strongest key points of a tile."""
         if name not in self._points:
-            picture = self[name]
-            factor = max(1, -(-max(picture.shape) // LONG_SIDE))
-            found = ScaledFeatures([picture], factor, None)[0]
+            found = CameraFeatures([self[name]]).key_points(LONG_SIDE, 0)
             self._points[name] = found[np.arange(min(KEY_POINTS, len(found)))]
         return self._points[name]
 
