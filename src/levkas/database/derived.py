@@ -1,4 +1,4 @@
-"""Layers that are made from others, estimated or spliced: written into a database beside those that were measured."""
+"""Layers that are made from others: written into a database beside those that were measured."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from levkas.database.store import write_index
 
 if TYPE_CHECKING:
     from levkas.core.cube import Cube, CubeRows
-    from levkas.database.reader import Database
 
 
 @dataclass(frozen=True)
@@ -52,64 +51,31 @@ def write_derived(
     The manifest is left to `database.manifest.write_manifest`, once for all layers.
     """
     entry, written = write_layer(root, layer, rows, verdict=verdict)
-    path = root / f"objects/{layer.object}/{layer.stem}{MADE_OF[layer.kind]}"
+    path = root / f"{layer.id.path}{MADE_OF[layer.kind]}"
     hashes = {source.name: hash_file(root / f"{source.path}.tif") for source in sources}
     write_json(path, {"kind": layer.kind, **(layer.made_of or {}), "sources": hashes, **record})
     others = [e for e in read_catalogue(root) if e.layer != entry.layer]
     write_catalogue(root, [*others, entry])
-    write_index(root / "zarr" / f"{layer.object}.zarr")
+    write_index((root / layer.id.group).parent)
     return (*written, path)
 
 
 def check_new_layer(
-    database: Database,
-    having: Sequence[str],
-    layer: str,
-    objects: Sequence[str],
-    *,
-    kind: str,
-    field: str,
+    root: Path, layer: str, having: Sequence[str], objects: Sequence[str], *, kind: str, field: str
 ) -> None:
-    """Refuse a name that a layer of another kind has, or that files cannot have, and objects that lack the sources.
+    """Refuse a name that a layer of another kind has, or that files cannot have, and objects that are not among those `having` the sources.
 
-    Parameters
-    ----------
-    having : sequence of str
-        Objects that have the sources.
-    layer : str
-        Name of the new layer.
-    objects : sequence of str
-        What was asked for.
-    kind, field : str
-        Of the new layer, and the argument that names it.
-
-    Raises DatabaseRefused.
+    `field` is the argument that names the layer. Raises DatabaseRefused.
     """
     try:
         check_plain_names(layer)
     except ValueError as error:
         raise DatabaseRefused(Problem("E_VALUE", str(error), field=field, found=layer)) from None
-    if layer in {e.camera for e in database.catalogue if e.kind != kind}:
-        raise DatabaseRefused(
-            Problem(
-                "E_EXISTS",
-                f"the database has another layer {layer!r}; one that is {kind} must not replace it",
-                str(database.path),
-                field,
-                found=layer,
-                expected="a name that differs from all cameras",
-                fix=f"Name it {layer}-{kind}.",
-            )
-        )
+    if layer in {e.camera for e in read_catalogue(root) if e.kind != kind}:
+        what = f"the database has another layer {layer!r}; one that is {kind} must not replace it"
+        expected, fix = "a name that differs from all cameras", f"Name it {layer}-{kind}."
+        raise DatabaseRefused(Problem("E_EXISTS", what, str(root), field, layer, expected, fix))
     if unknown := [name for name in objects if name not in having]:
-        raise DatabaseRefused(
-            Problem(
-                "E_VALUE",
-                "this object lacks the layers to make it from, or does not exist",
-                str(database.path),
-                "--object",
-                found=unknown[0],
-                expected=", ".join(having),
-                fix=closest_match(unknown[0], having),
-            )
-        )
+        what, near = "this object lacks the layers", closest_match(unknown[0], having)
+        facts = ("--object", unknown[0], ", ".join(having), near)
+        raise DatabaseRefused(Problem("E_VALUE", what, str(root), *facts))

@@ -38,9 +38,14 @@ def open_tiff(path: Path) -> Described:
 
 def describe_pages(pages: TiffPages) -> Described:
     """Return what the pages' tags say."""
-    text = next((t for t in pages.tags(METADATA) if t), "")
+    text = decode_text(str(next((t for t in pages.tags(METADATA) if t), "")))
     centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), None)
-    record = _json(decode_text(str(text)))
+    try:
+        record = parse_bounded(text) if text else {}
+    except ValueError:
+        record = None
+    if not isinstance(record, dict):
+        record = {"metadata": text}
     labels, widths = record.pop("bands", None), record.pop("fwhm", None) or [None] * len(pages)
     known = record.pop("wavelength", None)
     bad = record.get("bad_bands") or ()
@@ -52,14 +57,6 @@ def describe_pages(pages: TiffPages) -> Described:
         for label, nm, width in zip(labels, known, widths, strict=True)
     ]
     return Described(tuple(bands), record)
-
-
-def _json(text: str) -> dict[str, Any]:
-    try:
-        record = parse_bounded(text)
-    except ValueError:
-        return {"metadata": text} if text else {}
-    return record if isinstance(record, dict) else {"metadata": text}
 
 
 def channel_shapes(database: Path, camera: str, labels: Sequence[str]) -> list[tuple[float, float]]:
@@ -83,14 +80,12 @@ def _shape(wavelengths: np.ndarray, response: np.ndarray) -> tuple[float, float]
     >>> _shape(np.arange(400.0, 450.0, 10.0), np.array([0.0, 1.0, 1.0, 1.0, 0.0]))
     (420.0, 30.0)
     """
-    high = np.flatnonzero(response >= response.max() / 2)
-    low, top = max(high[0] - 1, 0), min(high[-1] + 1, len(response) - 1)
     half = response.max() / 2
-    rise, fall = response[low : high[0] + 1], response[high[-1] : top + 1][::-1]
-    start = float(np.interp(half, rise, wavelengths[low : high[0] + 1]))
-    end = float(np.interp(half, fall, wavelengths[high[-1] : top + 1][::-1]))
-    centroid = float((response * wavelengths).sum() / response.sum())
-    return centroid, end - start
+    high = np.flatnonzero(response >= half)
+    rise, fall = slice(max(high[0] - 1, 0), high[0] + 1), slice(high[-1], high[-1] + 2)
+    start = float(np.interp(half, response[rise], wavelengths[rise]))
+    end = float(np.interp(half, response[fall][::-1], wavelengths[fall][::-1]))
+    return float((response * wavelengths).sum() / response.sum()), end - start
 
 
 class Pixels(NamedTuple):
@@ -107,15 +102,7 @@ class Pixels(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LayerRows:
-    """A published layer, read off its TIFFs.
-
-    Parameters
-    ----------
-    root : Path
-        The database.
-    pages : dict of str to TiffPages
-        Of values, flags and, where noise is known, sigma.
-    """
+    """A published layer of the database `root`, read off its TIFFs of values, flags and, where noise is known, sigma."""
 
     root: Path
     layer: LayerId
@@ -126,12 +113,8 @@ class LayerRows:
     def open(cls, root: Path, layer: LayerId) -> LayerRows:
         """Open a layer without reading a pixel; raises TiffRefused."""
         paths = {kind: root / (layer.path + ending) for kind, ending in KINDS.items()}
-        pages = {
-            kind: open_pages(path)
-            for kind, path in paths.items()
-            if kind != "sigma" or path.is_file()
-        }
-        return cls(root, layer, describe_pages(pages["values"]), pages)
+        known = {k: open_pages(p) for k, p in paths.items() if k != "sigma" or p.is_file()}
+        return cls(root, layer, describe_pages(known["values"]), known)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -150,6 +133,5 @@ class LayerRows:
 
     def read(self, start: int, stop: int) -> Pixels:
         """Read rows `start` to `stop`."""
-        bands = list(range(self.shape[2]))
-        known = {kind: pages.read(start, stop, bands) for kind, pages in self.pages.items()}
+        known = {kind: pages.read(start, stop) for kind, pages in self.pages.items()}
         return Pixels(known["values"], known["flags"], known.get("sigma"))

@@ -40,10 +40,11 @@ def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
     values, flags = open_pages(path), open_pages(path.with_name(path.stem + ".flags.tif"))
     height, width, _ = values.shape
     step = grey_step(height, width)
-    parts = []
-    for top in range(0, height, ROWS):
-        rows = (top, min(top + ROWS, height))
-        parts.append(grey_of(values.read(*rows), flags.read(*rows), top, step))
+    tops = range(0, height, ROWS)
+    parts = [
+        grey_of(values.read(top, top + ROWS), flags.read(top, top + ROWS), top, step)
+        for top in tops
+    ]
     mean, inside = zip(*parts, strict=True)
     return np.concatenate(mean), np.concatenate(inside)
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from math import isnan, nan
 from pathlib import Path
@@ -21,19 +22,15 @@ from levkas.core.threads import made_ahead
 from levkas.database.catalogue import ESTIMATED, MEASURED, SPLICED, Entry
 from levkas.database.credits import Credits
 from levkas.database.described import describe_pages
-from levkas.database.layout import SIGMA, STEP, LayerId, layer_name
-from levkas.database.preview import write_preview
+from levkas.database.layout import KINDS, SIGMA, STEP, LayerId
+from levkas.database.preview import encode_png
 from levkas.database.spectral_tiff import THREADS, PageSpool, TiffHeader, write_encoded_pages
 from levkas.database.store import writing_layer
 from levkas.database.tiff_pages import open_pages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from levkas.colour.srgb import Rendering
     from levkas.core.cube import Band, Cube, CubeRows
 
-KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
 MADE = {MEASURED: "made_of", ESTIMATED: "estimate", SPLICED: "splice"}
 """Attribute with what a layer was made of, by its kind."""
 DTYPES = {"values": np.float32, "flags": np.uint8, "sigma": np.float32}
@@ -41,22 +38,11 @@ DTYPES = {"values": np.float32, "flags": np.uint8, "sigma": np.float32}
 
 @dataclass(frozen=True)
 class Layer:
-    """What a layer's files say about it beside its pixels.
+    """What a layer's files say about it beside its pixels; `setup` is empty for the default one, `px_per_mm` NaN where it is not known.
 
-    Parameters
-    ----------
-    object, camera, setup : str
-        `setup` is empty for the default one.
-    px_per_mm : float
-        NaN where the sampling is not known.
-    centroids : mapping of label to float, nm
-        Of the sensitivities of channels without a centre wavelength, for tag 65000.
-    kind : str
-        ``"measured"``, or how it was made from others: ``"estimated"``, ``"spliced"``.
-    made_of : mapping, optional
-        Of a layer made from others: which, and how.
-    step_per_sigma : float
-        Largest step of the values that `core.rounding.round_values` left, a share of their sigma; NaN where it took none.
+    `centroids`: label → nm, of the sensitivities of channels without a centre wavelength, for tag 65000. `kind` is
+    ``"measured"``, or ``"estimated"`` from the layers that `made_of` names. `step_per_sigma` is the largest step of the
+    values that `core.rounding.round_values` left, a share of their sigma; NaN where it took none.
     """
 
     object: str
@@ -70,14 +56,9 @@ class Layer:
     step_per_sigma: float = nan
 
     @property
-    def name(self) -> str:
-        """``CAMERA`` or ``CAMERA@SETUP``."""
-        return layer_name(self.camera, self.setup)
-
-    @property
-    def stem(self) -> str:
-        """``OBJECT_CAMERA`` or ``OBJECT_CAMERA_SETUP``."""
-        return LayerId(self.object, self.camera, self.setup).stem
+    def id(self) -> LayerId:
+        """Which layer it is."""
+        return LayerId(self.object, self.camera, self.setup)
 
     def attributes(self, quantity: str, bands: Sequence[Band] = ()) -> dict[str, Any]:
         """Return what the arrays say of themselves; what is unknown is left out, `bad_bands` where none is bad."""
@@ -93,6 +74,11 @@ class Layer:
         }
         return {key: value for key, value in facts.items() if value is not None}
 
+    def facts_of_values(self, *, sigma: bool) -> dict[str, Any]:
+        """Return what the values say of themselves beyond what flags and sigma say too."""
+        step = {} if isnan(self.step_per_sigma) else {STEP: self.step_per_sigma}
+        return {**({SIGMA: True} if sigma else {}), **step}
+
 
 def write_layer(
     database: str | Path,
@@ -104,65 +90,44 @@ def write_layer(
     white: float | None = None,
     before: Callable[[], object] | None = None,
 ) -> tuple[Entry, tuple[Path, ...]]:
-    """Write all files of one registered layer, its rows from top to bottom as they come.
+    """Write all files of one registered layer, its rows on the grid from top to bottom as they come.
 
-    The bytes are the same for any number of rows at a time, and only a few are in memory.
-
-    Parameters
-    ----------
-    rows : Cube or CubeRows
-        On the grid.
-    verdict : str
-        For the catalogue.
-    encoded : bool
-        Whether the values are encoded as sRGB, for the picture.
-    white : float, optional
-        Count shown as white; default: by what is brightest in the first rows that come.
-    before : callable, optional
-        As of `levkas.core.files.together`.
-
-    Returns
-    -------
-    entry : Entry
-        The row of the catalogue.
-    files : tuple of Path
-        All that was written, files only.
+    The bytes are the same for any number of rows at a time, and only a few are in memory. For the picture, `encoded` says
+    that the values are sRGB, and `white` the count shown as white (default: by what is brightest in the first rows).
+    `before` is as of `levkas.core.files.together`. Returns the row of the catalogue, and all files that were written.
 
     Raises WriteRefused where the disk refuses; all files are then the old ones, unless it refuses a name.
     """
     database = Path(database)
-    base = database / "objects" / layer.object / layer.stem
-    root = database / "zarr" / f"{layer.object}.zarr"
+    base, group = database / layer.id.path, database / layer.id.group
+    facts = layer.attributes(rows.quantity, rows.bands)
+    facts |= layer.facts_of_values(sigma=rows.has_sigma)
     picture = _Picture(rows, find_rendering(rows.bands, encoded=encoded), white)
     with (
         together(before),
-        _SpooledTiffs(base, rows) as tiffs,
+        _spooled(base, rows) as spools,
         writing_layer(
-            root,
-            layer.name,
+            group.parent,
+            group.name,
             shape=rows.shape,
             bands=rows.bands,
-            attributes={
-                **layer.attributes(rows.quantity, rows.bands),
-                **facts_of_values(layer, sigma=rows.has_sigma),
-            },
+            attributes=facts,
             sigma=rows.has_sigma,
         ) as store,
         ThreadPoolExecutor(1, thread_name_prefix="store") as beside,
     ):
         for block in made_ahead(rows.blocks):
-            part = rounded(block)
+            part = _rounded(block)
             stored = beside.submit(store.write_rows, part.values, part.flags, part.sigma)
-            tiffs.write_rows(part)
+            for kind, spool in spools.items():
+                spool.write_rows(getattr(part, kind))
             picture.paint(part.values)
             stored.result()
             del block, part  # before the rows after the next are made
-        written = tiffs.finish(layer, rgb=picture.rgb, rendering=picture.description)
+        written = _finish(base, layer, rows, spools, picture)
         png = base.with_name(base.name + ".png")
-        scale = None if isnan(layer.px_per_mm) else layer.px_per_mm
-        write_preview(png, picture.rgb, description=picture.description, px_per_mm=scale)
-        written.append(png)
-    written += sorted(p for p in (root / layer.name).rglob("*") if p.is_file())
+        _write_png(png, picture.rgb, picture.description, facts.get("px_per_mm"))
+    written += [png, *sorted(p for p in group.rglob("*") if p.is_file())]
     height, width, count = rows.shape
     entry = Entry(
         *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
@@ -176,21 +141,29 @@ def write_tiffs(base: Path, layer: Layer, rows: Cube | CubeRows) -> list[Path]:
 
     Also for the native files of single sensors.
     """
-    with _SpooledTiffs(base, rows) as tiffs:
+    with _spooled(base, rows) as spools:
         for block in made_ahead(rows.blocks):
-            tiffs.write_rows(block)
+            for kind, spool in spools.items():
+                spool.write_rows(getattr(block, kind))
             del block
-        return tiffs.finish(layer)
+        return _finish(base, layer, rows, spools)
+
+
+def _rounded(cube: Cube) -> Cube:
+    """Return the cube with sigma as it is stored."""
+    if cube.sigma is None or is_rounded(cube.sigma, SIGMA_DROP):
+        return cube
+    return replace(cube, sigma=round_sigma(cube.sigma))
 
 
 class _Picture:
     """The rows of a layer, painted in sRGB as they pass; `white` is the count shown as white."""
 
-    def __init__(self, rows: Cube | CubeRows, rendering: Rendering, white: float | None) -> None:
+    def __init__(self, rows: Cube | CubeRows, rendering: Any, white: float | None) -> None:
         self.rgb = np.zeros((*rows.shape[:2], 3), np.uint8)
         self._rendering, self._row = rendering, 0
-        self._white = 1.0 if rows.quantity == "reflectance" else white
         self._counts = rows.quantity != "reflectance"
+        self._white = white if self._counts else 1.0
 
     def paint(self, values: np.ndarray) -> None:
         if self._white is None:
@@ -202,77 +175,54 @@ class _Picture:
     @property
     def description(self) -> str:
         shown = f"; counts, {self._white:g} shown as white" if self._counts else ""
-        return self._rendering.description + shown
+        return f"{self._rendering.description}{shown}"
 
 
-class _SpooledTiffs:
-    """Values, flags and, where it is known, sigma of one layer or sensor, written row by row.
+def _path(base: Path, kind: str) -> Path:
+    return base.with_name(base.name + KINDS[kind])
 
-    To be used as a context; `finish` writes the files.
-    """
 
-    def __init__(self, base: Path, rows: Cube | CubeRows) -> None:
-        self._base, self._rows = base, rows
-        self._spools: dict[str, PageSpool] = {}
+@contextmanager
+def _spooled(base: Path, rows: Cube | CubeRows) -> Iterator[dict[str, PageSpool]]:
+    """Spool values, flags and, where it is known, sigma of one layer or sensor, for `_finish`."""
+    with ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor(count_threads(THREADS)))
+        spools = {}
+        for kind in KINDS:
+            if kind != "sigma" or rows.has_sigma:
+                handle = stack.enter_context(spooling(base.parent, _path(base, kind).name))
+                spools[kind] = PageSpool(handle, rows.shape, DTYPES[kind], pool)
+        yield spools
 
-    def __enter__(self) -> _SpooledTiffs:
-        with ExitStack() as stack:
-            pool = stack.enter_context(ThreadPoolExecutor(count_threads(THREADS)))
-            for kind in KINDS:
-                if kind != "sigma" or self._rows.has_sigma:
-                    path = self._path(kind)
-                    handle = stack.enter_context(spooling(path.parent, path.name))
-                    self._spools[kind] = PageSpool(handle, self._rows.shape, DTYPES[kind], pool)
-            self._stack = stack.pop_all()
-        return self
 
-    def __exit__(self, *error: object) -> None:
-        self._stack.close()
-
-    def _path(self, kind: str) -> Path:
-        return self._base.with_name(f"{self._base.name}{KINDS[kind]}.tif")
-
-    def write_rows(self, block: Cube) -> None:
-        """Take rows of all arrays."""
-        for kind, spool in self._spools.items():
-            spool.write_rows(getattr(block, kind))
-
-    def finish(
-        self, layer: Layer, *, rgb: np.ndarray | None = None, rendering: str = ""
-    ) -> list[Path]:
-        """Write the files and return them; raises WriteRefused.
-
-        An older .sigma.tif goes where the noise is not known any more.
-        """
-        bands, quantity = self._rows.bands, self._rows.quantity
-        facts = layer.attributes(quantity, bands)
-        more = {
-            "values": {
-                **facts,
-                **({"rendering": rendering} if rendering else {}),
-                **facts_of_values(layer, sigma=self._rows.has_sigma),
-            },
-            "flags": {**facts, "quantity": "flags"},
-            "sigma": {**facts, "quantity": f"sigma of {quantity}"},
-        }
-        written = []
-        for kind, spool in self._spools.items():
-            path = self._path(kind)
-            header = TiffHeader(
-                self._rows.shape[:2],
-                centres_of(bands, layer.centroids),
-                describe_bands(bands, more[kind]),
-                dtype=DTYPES[kind],
-                rgb=rgb if kind == "values" else None,
-                px_per_mm=facts.get("px_per_mm"),
-                credits=layer.credits,
-            )
-            write_encoded_pages(path, spool.pages(), header)
-            spool.drop()  # the next pages may need its space
-            written.append(path)
-        if (stale := self._path("sigma")) not in written and stale.is_file():
-            remove(stale)
-        return written
+def _finish(
+    base: Path,
+    layer: Layer,
+    rows: Cube | CubeRows,
+    spools: Mapping[str, PageSpool],
+    picture: _Picture | None = None,
+) -> list[Path]:
+    """Write the TIFFs of what was spooled; an older .sigma.tif goes where the noise is not known any more."""
+    facts = layer.attributes(rows.quantity, rows.bands)
+    rendering = {"rendering": picture.description} if picture else {}
+    more = {
+        "values": {**facts, **rendering, **layer.facts_of_values(sigma=rows.has_sigma)},
+        "flags": {**facts, "quantity": "flags"},
+        "sigma": {**facts, "quantity": f"sigma of {rows.quantity}"},
+    }
+    for kind, spool in spools.items():
+        header = TiffHeader(
+            *(rows.shape[:2], centres_of(rows.bands, layer.centroids)),
+            *(_describe_bands(rows.bands, more[kind]), DTYPES[kind]),
+            rgb=picture.rgb if picture and kind == "values" else None,
+            px_per_mm=facts.get("px_per_mm"),
+            credits=layer.credits,
+        )
+        write_encoded_pages(_path(base, kind), spool.pages(), header)
+        spool.drop()  # the next pages may need its space
+    if "sigma" not in spools and (stale := _path(base, "sigma")).is_file():
+        remove(stale)
+    return [_path(base, kind) for kind in spools]
 
 
 def describe_files(
@@ -288,24 +238,25 @@ def describe_files(
         if path.suffix == ".tif":
             pages = open_pages(path)
             described = describe_pages(pages)
+            facts = _with_sampling(described.facts, px_per_mm)
             header = TiffHeader(
-                pages.shape[:2],
-                centres_of(described.bands, centroids),
-                describe_bands(described.bands, _with_sampling(described.facts, px_per_mm)),
-                dtype=pages.dtype,
-                rgb=pages.read_render(),
-                px_per_mm=px_per_mm,
-                credits=credits,
+                *(pages.shape[:2], centres_of(described.bands, centroids)),
+                *(_describe_bands(described.bands, facts), pages.dtype),
+                *(pages.read_render(), px_per_mm, credits),
             )
             write_encoded_pages(path, pages.strips(), header)
         elif path.suffix == ".png":
             with Image.open(path) as image:
                 text, pixels = image.info.get("Description", ""), np.asarray(image)
-            write_preview(path, pixels, description=text, px_per_mm=px_per_mm)
+            _write_png(path, pixels, text, px_per_mm)
         elif path.parts[-2:] == ("values", "zarr.json"):
             record = json.loads(path.read_bytes())
             record["attributes"] = _with_sampling(record["attributes"], px_per_mm)
             write_bytes(path, json.dumps(record, indent=2).encode())  # as zarr spells it
+
+
+def _write_png(path: Path, image: np.ndarray, text: str, px_per_mm: float | None) -> None:
+    write_bytes(path, encode_png(image, description=text, px_per_mm=px_per_mm))
 
 
 def _with_sampling(facts: Mapping[str, Any], px_per_mm: float | None) -> dict[str, Any]:
@@ -313,12 +264,6 @@ def _with_sampling(facts: Mapping[str, Any], px_per_mm: float | None) -> dict[st
     first = {key: facts[key] for key in ("quantity", "object", "camera", "setup")}
     scale = {"px_per_mm": px_per_mm} if px_per_mm else {}
     return {**first, **scale, **{k: v for k, v in facts.items() if k not in {*first, "px_per_mm"}}}
-
-
-def facts_of_values(layer: Layer, *, sigma: bool) -> dict[str, Any]:
-    """Return what the values say of themselves beyond what flags and sigma say too."""
-    step = layer.step_per_sigma
-    return {**({SIGMA: True} if sigma else {}), **({} if isnan(step) else {STEP: step})}
 
 
 def centres_of(bands: Sequence[Band], centroids: Mapping[str, float] | None = None) -> list[float]:
@@ -339,7 +284,7 @@ def centres_of(bands: Sequence[Band], centroids: Mapping[str, float] | None = No
     return centres
 
 
-def describe_bands(bands: Sequence[Band], facts: dict[str, Any]) -> str:
+def _describe_bands(bands: Sequence[Band], facts: Mapping[str, Any]) -> str:
     """Return tag 65111: a JSON object with the facts, the bands' labels, wavelengths and widths."""
     record = {
         **facts,
@@ -348,10 +293,3 @@ def describe_bands(bands: Sequence[Band], facts: dict[str, Any]) -> str:
         "fwhm": [None if isnan(b.fwhm) else float(b.fwhm) for b in bands],
     }
     return json.dumps(record, ensure_ascii=False, allow_nan=False)
-
-
-def rounded(cube: Cube) -> Cube:
-    """Return the cube with sigma as it is stored."""
-    if cube.sigma is None or is_rounded(cube.sigma, SIGMA_DROP):
-        return cube
-    return replace(cube, sigma=round_sigma(cube.sigma))

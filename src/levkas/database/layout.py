@@ -7,7 +7,6 @@ from pathlib import Path
 
 KINDS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
 """Arrays of a Zarr layer, and the endings of the TIFFs that hold the same numbers."""
-
 SIGMA = "sigma"
 """Among the facts of values: true where a sigma belongs to them, so that a missing one is noticed."""
 STEP = "step_per_sigma"
@@ -67,13 +66,7 @@ class LayerId:
 
 @dataclass(frozen=True)
 class Places:
-    """Paths of one database and of what is kept beside it.
-
-    Parameters
-    ----------
-    output : Path
-        The database.
-    """
+    """Paths of one database, `output`, and of what is kept beside it."""
 
     output: Path
 
@@ -88,7 +81,7 @@ class Places:
 
     def layer(self, name: str, camera: str, setup: str = "", *, kind: str = ".tif") -> Path:
         """Published file of one layer: ``.tif``, ``.flags.tif``, ``.sigma.tif`` or ``.png``."""
-        return self.folder(name) / (LayerId(name, camera, setup).stem + kind)
+        return self.output / (LayerId(name, camera, setup).path + kind)
 
     def native(
         self,
@@ -114,7 +107,7 @@ class Places:
 
     def matches(self, name: str, layer: str, sensor: str = "") -> Path:
         """Matches of one layer; `sensor` names another than its first."""
-        stem = ".".join(part for part in (layer, sensor) if part)
+        stem = ".".join(filter(None, (layer, sensor)))
         return self.folder(name) / "registration" / f"{stem}.matches.csv"
 
     def store(self, name: str) -> Path:

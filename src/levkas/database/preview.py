@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.colour.srgb import srgb_profile
-from levkas.core.files import write_bytes
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MM_PER_INCH = 25.4
 PNG_LEVEL = 4
@@ -21,20 +16,9 @@ PNG_LEVEL = 4
 def encode_png(
     image: np.ndarray, *, description: str = "", px_per_mm: float | None = None
 ) -> bytes:
-    """Encode a picture as PNG with an sRGB profile.
+    """Encode a uint8 picture, (height, width) or (height, width, 3), as PNG with an sRGB profile.
 
-    Parameters
-    ----------
-    image : ndarray, (height, width) or (height, width, 3), uint8
-    description : str
-        Kept as text in the file.
-    px_per_mm : float, optional
-        Sampling, kept as pixels per metre.
-
-    Returns
-    -------
-    png : bytes
-        The same for the same input; no date.
+    `description` is kept as text, the sampling as pixels per metre, and no date: the same bytes for the same input.
     """
     from PIL import Image, PngImagePlugin
 
@@ -49,10 +33,3 @@ def encode_png(
         target, "PNG", compress_level=PNG_LEVEL, pnginfo=facts, **options, **profile
     )
     return target.getvalue()
-
-
-def write_preview(
-    path: str | Path, image: np.ndarray, *, description: str = "", px_per_mm: float | None = None
-) -> None:
-    """Write `encode_png` of a picture; raises WriteRefused."""
-    write_bytes(path, encode_png(image, description=description, px_per_mm=px_per_mm))

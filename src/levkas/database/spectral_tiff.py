@@ -10,10 +10,11 @@ import contextlib
 import errno
 import warnings
 from collections import deque
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -25,11 +26,6 @@ from levkas.core.problems import Problem
 from levkas.core.transpose import transpose
 from levkas.database.credits import Credits
 from levkas.database.tiff_pages import TiffRefused, open_pages
-
-if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-
-    from tifffile import TiffWriter
 
 WAVELENGTHS, METADATA, LABEL, XMP, COPYRIGHT, ARTIST = 65000, 65111, 65001, 700, 33432, 315
 STRIP_BYTES = 1 << 18
@@ -46,20 +42,9 @@ PREDICTORS = {"f": 3, "u": 2, "i": 2}
 class TiffHeader:
     """Facts of a spectral TIFF beside the pixels of its bands.
 
-    Parameters
-    ----------
-    shape : (height, width)
-    wavelengths : sequence of float, nm
-        Tag 65000, one a band: centres, centroids of sensitivities, or 0 … n−1 for channels without
-        any.
-    text : str
-        Tag 65111.
-    dtype : numpy dtype
-        Of the pages; uint8 for flags and masks.
-    rgb : ndarray, (any height, any width, 3), uint8, optional
-        sRGB render for page 0.
-    px_per_mm : float, optional
-        Sampling, for the resolution tags.
+    `shape` is (height, width). `wavelengths`, tag 65000, nm: centres, centroids of sensitivities, or 0 … n−1 for channels
+    without any. `text` is tag 65111, `dtype` that of the pages, `rgb` an sRGB render of any size for page 0, uint8,
+    `px_per_mm` the sampling, for the resolution tags.
     """
 
     shape: tuple[int, int]
@@ -69,17 +54,6 @@ class TiffHeader:
     rgb: np.ndarray | None = None
     px_per_mm: float | None = None
     credits: Credits = field(default_factory=Credits)
-
-    @property
-    def strip_rows(self) -> int:
-        """Rows of a strip."""
-        return strip_rows(self.shape[1], self.dtype)
-
-    @property
-    def big(self) -> bool:
-        """Whether the pages may pass what the offsets of a classic TIFF reach."""
-        samples = self.shape[0] * self.shape[1] * len(self.wavelengths)
-        return np.dtype(self.dtype).itemsize * samples > CLASSIC_LIMIT
 
 
 def write_pages(path: Path, blocks: Iterable[np.ndarray], header: TiffHeader) -> None:
@@ -109,17 +83,34 @@ def write_encoded_pages(
     """Write pages whose strips `encode_strip` has made; raises WriteRefused where the disk refuses."""
     from tifffile import TiffWriter
 
-    dtype, credits = np.dtype(header.dtype), header.credits
-    common = _common_tags(header.px_per_mm)
-    first = _first_tags(header, credits if header.rgb is None else Credits())
+    dtype, (height, width) = np.dtype(header.dtype), header.shape
+    size = height * width * len(header.wavelengths) * dtype.itemsize
+    common: dict[str, Any] = {"metadata": None, "contiguous": False}
+    if px_per_cm := (header.px_per_mm or 0) * 10:
+        common |= {"resolution": (px_per_cm, px_per_cm), "resolutionunit": "CENTIMETER"}
+    centres, text = tuple(float(w) for w in header.wavelengths), _encode_text(header.text)
+    tags = [(WAVELENGTHS, "f", len(centres), centres, True), (METADATA, "s", len(text), text, True)]
     with (
         # Its threads must not wait for the garbage collector.
         contextlib.closing(pages),
         replacing(path) as handle,
-        TiffWriter(handle, bigtiff=header.big, byteorder="<") as tiff,
+        TiffWriter(handle, bigtiff=size > CLASSIC_LIMIT, byteorder="<") as tiff,
     ):
         if header.rgb is not None:
-            _write_render(tiff, header.rgb, common, credits)
+            packet = header.credits.to_xmp()
+            tiff.write(
+                np.ascontiguousarray(header.rgb, np.uint8),
+                photometric="rgb",
+                compression="zlib",
+                compressionargs={"level": LEVEL},
+                predictor=2,
+                iccprofile=srgb_profile(),
+                **common,
+                **_credit_tags(
+                    header.credits, [(XMP, "B", len(packet), packet, True)] if packet else []
+                ),
+            )
+        first = _credit_tags(header.credits if header.rgb is None else Credits(), tags)
         for index, encoded in enumerate(pages):
             tiff.write(
                 iter(encoded),
@@ -128,27 +119,10 @@ def write_encoded_pages(
                 photometric="minisblack",
                 compression="zlib",
                 predictor=PREDICTORS[dtype.kind] if dtype.itemsize > 1 else None,
-                rowsperstrip=header.strip_rows,
+                rowsperstrip=strip_rows(width, dtype),
                 **common,
                 **(first if index == 0 else {"software": False}),
             )
-
-
-def _common_tags(px_per_mm: float | None) -> dict[str, Any]:
-    tags: dict[str, Any] = {"metadata": None, "contiguous": False}
-    if px_per_mm:
-        tags |= {"resolution": (px_per_mm * 10, px_per_mm * 10), "resolutionunit": "CENTIMETER"}
-    return tags
-
-
-def _first_tags(header: TiffHeader, credits: Credits) -> dict[str, Any]:
-    encoded = _encode_text(header.text)
-    centres = tuple(float(w) for w in header.wavelengths)
-    extra: list[tuple[Any, ...]] = [
-        (WAVELENGTHS, "f", len(centres), centres, True),
-        (METADATA, "s", len(encoded), encoded, True),
-    ]
-    return _credit_tags(credits, extra)
 
 
 def _credit_tags(credits: Credits, extra: list[tuple[Any, ...]]) -> dict[str, Any]:
@@ -164,67 +138,64 @@ def _credit_tags(credits: Credits, extra: list[tuple[Any, ...]]) -> dict[str, An
     }
 
 
-def _write_render(
-    tiff: TiffWriter, rgb: np.ndarray, common: Mapping[str, Any], credits: Credits
-) -> None:
-    packet = credits.to_xmp()
-    extra: list[tuple[Any, ...]] = [(XMP, "B", len(packet), packet, True)] if packet else []
-    tiff.write(
-        np.ascontiguousarray(rgb, np.uint8),
-        photometric="rgb",
-        compression="zlib",
-        compressionargs={"level": LEVEL},
-        predictor=2,
-        iccprofile=srgb_profile(),
-        **common,
-        **_credit_tags(credits, extra),
-    )
+class RowPieces:
+    """Rows as they come, (rows, width, bands), given on in pieces of one height; the last is what is left."""
+
+    def __init__(self, shape: tuple[int, int, int], dtype: Any, height: int) -> None:
+        self._shape, self._dtype, self._height = shape, dtype, height
+        self._given = self._filled = 0
+        self._begun: np.ndarray | None = None
+
+    def take(self, block: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield (first row, piece) of the pieces that some rows complete; raises ValueError where rows are too many."""
+        if self._given + self._filled + len(block) > self._shape[0]:
+            raise ValueError(f"more rows than {self._shape[0]}")
+        while len(block):
+            height = min(self._height, self._shape[0] - self._given)
+            part, block = block[: height - self._filled], block[height - self._filled :]
+            if len(part) < height:
+                if self._begun is None:
+                    self._begun = np.empty((height, *self._shape[1:]), self._dtype)
+                self._begun[self._filled : self._filled + len(part)] = part
+                self._filled += len(part)
+                if self._filled < height:
+                    return
+                part, self._begun = self._begun, None
+            first, self._filled, self._given = self._given, 0, self._given + height
+            yield first, part
+
+    def check_whole(self) -> None:
+        """Raise ValueError where rows are missing."""
+        if self._given != self._shape[0]:
+            found = self._given + self._filled
+            raise ValueError(f"{found} rows of {self._shape[0]} were written")
 
 
 class PageSpool:
-    """Strips of band pages: taken from rows of all bands, given back band by band.
+    """Strips of band pages: taken from rows of all bands, (height, width, bands), given back band by band.
 
-    Parameters
-    ----------
-    handle : binary file, for reading and writing
-    shape : (height, width, bands)
-    pool : ThreadPoolExecutor
-        For compression; the bytes are the same for any number of threads.
+    `handle` is read and written; `pool` compresses, and the bytes are the same for any number of its threads.
     """
 
     def __init__(
         self, handle: BinaryIO, shape: tuple[int, int, int], dtype: Any, pool: ThreadPoolExecutor
     ) -> None:
-        self._handle, self.shape, self._pool = handle, shape, pool
-        self._rows = strip_rows(shape[1], dtype)
+        self._handle, self._dtype, self._bands, self._pool = handle, dtype, shape[2], pool
+        self._pieces = RowPieces(shape, dtype, strip_rows(shape[1], dtype))
         self._places: list[tuple[int, int]] = []
-        self._begun = np.empty((0, *shape[1:]), dtype)
-        self._row = self._end = 0
+        self._end = 0
 
     def write_rows(self, block: np.ndarray) -> None:
         """Take rows, (rows, width, bands), from top to bottom; some strips are compressed while others are written."""
-        bands, coming = self.shape[2], deque[Future[list[bytes]]]()
-        for strip in self._strips(np.asarray(block, self._begun.dtype)):
-            for start in range(0, bands, GROUP):
-                stop = min(start + GROUP, bands)
-                coming.append(self._pool.submit(encode_strips, strip, start, stop))
+        coming = deque[Future[list[bytes]]]()
+        for _, strip in self._pieces.take(np.asarray(block, self._dtype)):
+            for start in range(0, self._bands, GROUP):
+                stop = min(start + GROUP, self._bands)
+                coming.append(self._pool.submit(_encode_strips, strip, start, stop))
                 if len(coming) > AHEAD:
                     self._keep(coming.popleft().result())
         while coming:
             self._keep(coming.popleft().result())
-
-    def _strips(self, block: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield the strips that some rows complete."""
-        while len(block):
-            height = min(self._rows, self.shape[0] - self._row)
-            missing = height - len(self._begun)
-            part, block = block[:missing], block[missing:]
-            strip = np.concatenate([self._begun, part]) if len(self._begun) else part
-            if len(part) < missing:
-                self._begun = strip.copy()
-                return
-            self._begun, self._row = self._begun[:0], self._row + height
-            yield strip
 
     def _keep(self, group: Sequence[bytes]) -> None:
         for encoded in group:
@@ -233,18 +204,13 @@ class PageSpool:
             self._end += len(encoded)
 
     def pages(self) -> Generator[list[bytes], None, None]:
-        """Yield the strips of each band.
-
-        Raises ValueError where rows are missing.
-        """
-        if self._row != self.shape[0]:
-            found = self._row + len(self._begun)
-            raise ValueError(f"{found} rows of {self.shape[0]} were written")
+        """Yield the strips of each band; raises ValueError where rows are missing."""
+        self._pieces.check_whole()
         # The strips of a page lie far apart: a buffer would read all between them, for each page anew.
         self._handle.flush()
         plain = getattr(self._handle, "raw", self._handle)
-        for band in range(self.shape[2]):
-            yield [_read(plain, *place) for place in self._places[band :: self.shape[2]]]
+        for band in range(self._bands):
+            yield [_read(plain, *place) for place in self._places[band :: self._bands]]
 
     def drop(self) -> None:
         """Give the disk back what was spooled; no page can be had any more."""
@@ -282,15 +248,10 @@ def encode_strip(strip: Any) -> bytes:
     return bytes(imagecodecs.deflate_encode(data.tobytes(), level=LEVEL))
 
 
-def encode_strips(rows: np.ndarray, start: int, stop: int) -> list[bytes]:
+def _encode_strips(rows: np.ndarray, start: int, stop: int) -> list[bytes]:
     """Return `encode_strip` of bands `start` to `stop` of some rows, (rows, width, bands)."""
-    return [encode_strip(plane) for plane in _turned(rows, start, stop)]
-
-
-def _turned(values: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """Return bands `start` to `stop` of (height, width, bands) as (bands, height, width)."""
-    planes = transpose(values[:, :, start:stop].reshape(-1, stop - start))
-    return planes.reshape(-1, *values.shape[:2])
+    planes = transpose(rows[:, :, start:stop].reshape(-1, stop - start))
+    return [encode_strip(plane) for plane in planes.reshape(-1, *rows.shape[:2])]
 
 
 def write_stiff(
@@ -328,30 +289,22 @@ def write_stiff(
     >>> cube.shape, wavelengths.tolist(), rgb, text
     ((2, 3, 2), [450.0, 550.0], None, 'by hand')
     """
-    cube = np.asarray(cube)
+    path, cube = Path(path), np.asarray(cube)
     keep = cube.dtype in (np.uint8, np.uint16)
     if cube.ndim != 3 or (cube.dtype.kind != "f" and not keep):
-        _refuse(
-            "E_SIZE",
-            Path(path),
-            "a cube is (height, width, bands) of floats, uint16 or uint8",
-            f"{cube.shape} {cube.dtype}",
-            "three dimensions",
-        )
+        what, found = "the cube does not fit", f"{cube.shape} {cube.dtype}"
+        _refuse("E_SIZE", path, what, found, "(height, width, bands) of floats, uint16 or uint8")
     if rgb is not None and (rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8):
         found = f"{rgb.shape} {rgb.dtype}"
-        _refuse("E_SIZE", Path(path), "the RGB render does not fit", found, "(h, w, 3) uint8")
+        _refuse("E_SIZE", path, "the RGB render does not fit", found, "(h, w, 3) uint8")
+    if len(wavelengths) != cube.shape[2]:
+        what = "bands and wavelengths do not fit"
+        _refuse("E_BAND_COUNT", path, what, len(wavelengths), cube.shape[2])
     header = TiffHeader(
-        (cube.shape[0], cube.shape[1]),
-        [float(w) for w in wavelengths],
-        metadata,
-        dtype=cube.dtype if keep else np.float32,
-        rgb=rgb,
+        *(cube.shape[:2], [float(w) for w in wavelengths], metadata),
+        *(cube.dtype if keep else np.float32, rgb),
     )
-    if len(header.wavelengths) != cube.shape[2]:
-        message, count = "bands and wavelengths do not fit", len(header.wavelengths)
-        _refuse("E_BAND_COUNT", Path(path), message, count, cube.shape[2])
-    write_pages(Path(path), [cube], header)
+    write_pages(path, [cube], header)
 
 
 def read_stiff(
@@ -447,9 +400,6 @@ def decode_text(stored: str) -> str:
     return text
 
 
-# --- masks --------------------------------------------------------------------------------------
-
-
 def read_mtiff(path: str | Path) -> dict[str, np.ndarray]:
     """Read masks of a TIFF, a page each.
 
@@ -493,5 +443,4 @@ def _refuse(
     code: str, path: Path, message: str, found: Any, expected: Any, tag: int | None = None
 ) -> None:
     field = None if tag is None else f"tag {tag}"
-    problem = Problem(code, message, str(path), field, str(found), str(expected))
-    raise TiffRefused(problem)
+    raise TiffRefused(Problem(code, message, str(path), field, str(found), str(expected)))

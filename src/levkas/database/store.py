@@ -9,9 +9,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+from collections.abc import Iterator, Mapping, Sequence
 from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +21,7 @@ from levkas.core.files import Folder, publishing, write_changed
 from levkas.core.json_safe import to_json
 from levkas.database.layout import SIGMA
 from levkas.database.manifest import is_partial, list_files
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+from levkas.database.spectral_tiff import RowPieces
 
 DIMENSIONS = ("y", "x", "band")
 SQUEEZE: dict[str, Any] = {"cname": "lz4", "clevel": 5, "shuffle": "bitshuffle"}
@@ -61,65 +60,35 @@ def chunks_of(shape: tuple[int, int, int]) -> tuple[tuple[int, ...], tuple[int, 
 
 
 class LayerWriter:
-    """Takes the rows of a layer from top to bottom, in blocks of any height."""
+    """Takes the rows of a layer from top to bottom, in blocks of any height.
+
+    A shard is always written once and whole: so its bytes do not depend on the blocks.
+    """
 
     def __init__(self, arrays: Mapping[str, Any], shape: tuple[int, int, int], slab: int) -> None:
-        self._arrays, self._shape, self._slab = arrays, shape, slab
-        self._row = self._filled = 0
-        self._buffers: dict[str, np.ndarray] = {}
+        self._arrays = arrays
+        self._pieces = {name: RowPieces(shape, a.dtype, slab) for name, a in arrays.items()}
 
     def write_rows(
         self, values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None = None
     ) -> None:
-        """Append rows, each array (rows, width, bands).
-
-        Raises ValueError where sigma is missing or not expected, or the rows are more than the layer has.
-        """
+        """Append rows, each array (rows, width, bands); raises ValueError where sigma is missing or not expected."""
         blocks = {"values": values, "flags": flags} | ({} if sigma is None else {"sigma": sigma})
-        if blocks.keys() != self._arrays.keys() or any(
-            b.shape != values.shape for b in blocks.values()
-        ):
-            expected = {name: values.shape for name in self._arrays}
-            found = {name: block.shape for name, block in blocks.items()}
-            raise ValueError(f"a layer of {expected} was given {found}")
-        start, count = 0, len(values)
-        if self._row + self._filled + count > self._shape[0]:
-            raise ValueError(f"more rows than the {self._shape[0]} of the layer")
-        while start < count:
-            take = min(self._slab - self._filled, count - start)
-            self._take({name: block[start : start + take] for name, block in blocks.items()}, take)
-            start += take
-
-    def _take(self, blocks: Mapping[str, np.ndarray], take: int) -> None:
-        # A shard is always written once and whole: so its bytes do not depend on the blocks.
-        end = self._row + self._filled + take == self._shape[0]
-        if self._filled == 0 and (take == self._slab or end):
-            self._write(blocks, take)
-            return
-        if not self._buffers:
-            size = (self._slab, *self._shape[1:])
-            self._buffers = {name: np.empty(size, a.dtype) for name, a in self._arrays.items()}
+        if blocks.keys() != self._arrays.keys():
+            raise ValueError(f"a layer of {[*self._arrays]} was given {[*blocks]}")
         for name, block in blocks.items():
-            self._buffers[name][self._filled : self._filled + take] = block
-        self._filled += take
-        if end or self._filled == self._slab:
-            height, self._filled = self._filled, 0
-            self._write({name: b[:height] for name, b in self._buffers.items()}, height)
+            for first, piece in self._pieces[name].take(block):
+                self._arrays[name][first : first + len(piece)] = piece
 
-    def _write(self, blocks: Mapping[str, np.ndarray], height: int) -> None:
-        for name, block in blocks.items():
-            self._arrays[name][self._row : self._row + height] = block
-        self._row += height
-
-    def close(self) -> None:
+    def check_whole(self) -> None:
         """Raise ValueError where rows are missing."""
-        if self._row != self._shape[0]:
-            raise ValueError(f"{self._row + self._filled} rows written of {self._shape[0]}")
+        for pieces in self._pieces.values():
+            pieces.check_whole()
 
 
 @contextlib.contextmanager
 def writing_layer(
-    root: str | Path,
+    root: Path,
     name: str,
     *,
     shape: tuple[int, int, int],
@@ -127,36 +96,26 @@ def writing_layer(
     attributes: Mapping[str, Any],
     sigma: bool = True,
 ) -> Iterator[LayerWriter]:
-    """Write a layer by blocks of rows; it takes its place when the block ends well.
+    """Write a layer, as `layer_name` calls it, of ``OBJECT.zarr``; it takes its place when the block ends well.
 
-    Parameters
-    ----------
-    root : path
-        ``OBJECT.zarr``.
-    name : str
-        As `layer_name` gives it.
-    shape : (height, width, bands)
-    attributes : mapping
-        Of the values: quantity, object, camera, setup, px_per_mm.
-    sigma : bool
-        Whether sigma is written too.
-
-    Raises WriteRefused where the disk refuses; the layer that was there is still there.
+    `attributes` are those of the values: quantity, object, camera, setup, px_per_mm. Raises WriteRefused where the disk
+    refuses; the layer that was there is still there.
     """
     import zarr
 
-    root = Path(root)
     # Without an index: what is written next would outdate it.
     write_changed(root / "zarr.json", to_json(ROOT).encode())
     chunks, shards = chunks_of(shape)
+    facts = {k: v for k, v in attributes.items() if v is not None} | (
+        {SIGMA: True} if sigma else {}
+    )
+    kinds: dict[str, tuple[Any, Any, Mapping[str, Any]]] = {
+        "values": (np.float32, nan, facts),
+        "flags": (np.uint8, int(Flag.OUTSIDE), flag_attributes()),
+        "sigma": (np.float32, nan, {"long_name": "one standard deviation of the random part"}),
+    }
     with publishing(root / name) as folder:
         group = zarr.create_group(folder_store(folder), zarr_format=3)
-        facts = {k: v for k, v in attributes.items() if v is not None}
-        kinds: dict[str, tuple[Any, Any, Mapping[str, Any]]] = {
-            "values": (np.float32, nan, {**facts, **({SIGMA: True} if sigma else {})}),
-            "flags": (np.uint8, int(Flag.OUTSIDE), flag_attributes()),
-            "sigma": (np.float32, nan, {"long_name": "one standard deviation of the random part"}),
-        }
         arrays = {
             key: group.create_array(
                 key,
@@ -177,33 +136,7 @@ def writing_layer(
         _write_coordinates(group, bands)
         writer = LayerWriter(arrays, shape, shards[0])
         yield writer
-        writer.close()
-
-
-def write_index(root: str | Path) -> Path:
-    """Consolidate the metadata of all layers in the store's root, so that xarray reads one file.
-
-    Call it when the last layer of an object is written; writing one more drops the index again. An
-    index that says the same already is left alone.
-    """
-    root = Path(root)
-    entries = {}
-    for name in list_files(root):
-        if name.endswith("/zarr.json") and not is_partial(name):
-            with contextlib.suppress(FileNotFoundError):  # taken away by a build beside this one
-                entries[name.removesuffix("/zarr.json")] = json.loads((root / name).read_bytes())
-    entries = dict(sorted(entries.items(), key=lambda entry: Path(entry[0])))
-    index = {"kind": "inline", "must_understand": False, "metadata": entries}
-    path = root / "zarr.json"
-    write_changed(path, to_json({**ROOT, "consolidated_metadata": index}).encode())
-    return path
-
-
-def flag_attributes() -> dict[str, Any]:
-    """Return the meaning of the flag bits as the CF conventions spell it."""
-    flags = list(Flag)
-    meanings = " ".join(str(flag.name).lower() for flag in flags)
-    return {"flag_masks": [int(flag) for flag in flags], "flag_meanings": meanings}
+        writer.check_whole()
 
 
 def _write_coordinates(group: Any, bands: Sequence[Band]) -> None:
@@ -226,6 +159,30 @@ def _write_coordinates(group: Any, bands: Sequence[Band]) -> None:
             config={"write_empty_chunks": True},
         )
         array[...] = numbers
+
+
+def write_index(root: Path) -> Path:
+    """Consolidate the metadata of all layers in the store's root, so that xarray reads one file.
+
+    Call it when the last layer of an object is written; writing one more drops the index again. An
+    index that says the same already is left alone.
+    """
+    entries = {}
+    for name in list_files(root):
+        if name.endswith("/zarr.json") and not is_partial(name):
+            with contextlib.suppress(FileNotFoundError):  # taken away by a build beside this one
+                entries[name.removesuffix("/zarr.json")] = json.loads((root / name).read_bytes())
+    entries = dict(sorted(entries.items(), key=lambda entry: Path(entry[0])))
+    index = {"kind": "inline", "must_understand": False, "metadata": entries}
+    path = root / "zarr.json"
+    write_changed(path, to_json({**ROOT, "consolidated_metadata": index}).encode())
+    return path
+
+
+def flag_attributes() -> dict[str, Any]:
+    """Return the meaning of the flag bits as the CF conventions spell it."""
+    meanings = " ".join(str(flag.name).lower() for flag in Flag)
+    return {"flag_masks": [int(flag) for flag in Flag], "flag_meanings": meanings}
 
 
 def codecs_of(kind: Any) -> list[Any]:

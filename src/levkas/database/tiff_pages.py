@@ -23,12 +23,13 @@ from levkas.readers.tiff_directories import directories_of
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
 
-    from tifffile import TiffFile, TiffPage
+    from tifffile import TiffPage
 
 DAMAGE = (
     *(RuntimeError, ValueError, IndexError, KeyError, TypeError, AttributeError),
     *(struct.error, OverflowError, ZeroDivisionError, MemoryError, AssertionError, OSError),
 )
+"""What damaged files lead tifffile and zarr to."""
 FIRST_PRIVATE = 65000
 FIX = "The file is damaged or not a TIFF: copy it again, or build it again."
 
@@ -38,16 +39,10 @@ class TiffRefused(Refused):
 
 
 class TiffPages:
-    """The band pages of one file, each (height, width), and the render before them.
+    """The band pages of one file, each (height, width), and the render before them; opened by `open_pages`.
 
-    Opened by `open_pages`; the file is opened anew for each reading, so that any number of these
-    can be held, and read from several threads.
-
-    Attributes
-    ----------
-    path : Path
-    shape : (height, width, bands)
-    dtype : numpy dtype
+    `shape` is (height, width, bands). The file is opened anew for each reading, so that any number of these can be held,
+    and read from several threads.
     """
 
     def __init__(
@@ -69,8 +64,10 @@ class TiffPages:
         """Return the RGB page, (height, width, 3), or None."""
         if self._render is None:
             return None
+        from tifffile import TiffFile
+
         try:
-            with _tiff_file(self.path) as tiff:
+            with self.path.open("rb") as handle, TiffFile(handle, name=self.path.name) as tiff:
                 return tiff.pages[0].asarray()
         except DAMAGE as error:
             raise TiffRefused(_unreadable(self.path, error)) from error
@@ -80,9 +77,12 @@ class TiffPages:
         page = self._bands[index]
         stop = page.shape[0] if stop is None else min(stop, page.shape[0])
         plane = np.empty((max(0, stop - start), page.shape[1]), page.dtype)
+        high = int(page.tilelength if page.is_tiled else min(page.rowsperstrip, page.shape[0]))
+        across = page.chunked[-1]
+        wanted = range(start // high * across, -(-stop // high) * across)
         try:
             with self.path.open("rb") as handle:
-                for number in _segments(page, start, stop):
+                for number in wanted if len(plane) else ():
                     _place(handle, page, number, plane, start)
         except DAMAGE as error:
             raise TiffRefused(_unreadable(self.path, error, index)) from error
@@ -120,33 +120,27 @@ class TiffPages:
 def open_pages(path: str | Path, *, uniform: bool = True) -> TiffPages:
     """Read the directory of a TIFF and check it against the file's size.
 
-    Parameters
-    ----------
-    uniform : bool
-        Whether all band pages must have one size and type, and page 0 may be an RGB render.
-
-    Raises TiffRefused: ``E_UNREADABLE``, ``E_TRUNCATED`` (data or pages missing), ``E_SIZE`` (pages that differ).
+    `uniform`: all band pages must have one size and type, and page 0 may be an RGB render. Raises TiffRefused:
+    ``E_UNREADABLE``, ``E_TRUNCATED`` (data or pages missing), ``E_SIZE`` (pages that differ).
     """
     path = Path(path) if isinstance(path, str) else path
-    with opening_tiff(path) as pages:
+    with _opening(path) as pages:
         tags = [{t.code: t.value for t in p.tags if t.code >= FIRST_PRIVATE} for p in pages]
-        render = pages[0] if uniform and pages[0].ndim == 3 else None
-        first = 0 if render is None else 1
+        first = int(uniform and pages[0].ndim == 3)
         _check_bands(path, pages[first:], uniform)
-        return TiffPages(path, render, pages[first:], tags[first:])
+        return TiffPages(path, pages[0] if first else None, pages[first:], tags[first:])
 
 
 @contextmanager
-def opening_tiff(path: Path) -> Iterator[list[TiffPage]]:
-    """Open all pages of a TIFF whose directories and strips lie in the file; its errors are refusals.
+def _opening(path: Path) -> Iterator[list[TiffPage]]:
+    """Open all pages of a TIFF whose directories and strips lie in the file; errors of the block are refusals too."""
+    from tifffile import TiffFile
 
-    Raises TiffRefused also where the block that uses the pages raises what damaged files lead tifffile to.
-    """
     try:
         if path.exists() and not path.is_file():  # to open a pipe waits for ever
             raise ValueError("it is not a file")
         count = len(directories_of(path))
-        with _tiff_file(path) as tiff:
+        with path.open("rb") as handle, TiffFile(handle, name=path.name) as tiff:
             pages: list[Any] = list(tiff.pages)
             if len(pages) != count or not pages:
                 raise ValueError(f"{len(pages)} of its {count} pages can be read")
@@ -154,8 +148,7 @@ def opening_tiff(path: Path) -> Iterator[list[TiffPage]]:
                 if not prod(page.chunked):
                     raise ValueError(f"page {index} declares no pixels")
                 check_strips(path, tiff, page, f"page {index}")
-                stored = sum(page.databytecounts)
-                check_ratio(path, page.nbytes, stored, ratio=LARGEST_RATIO)
+                check_ratio(path, page.nbytes, sum(page.databytecounts), ratio=LARGEST_RATIO)
             yield pages
     except UnreadableCapture as refused:
         again = (replace(p, fix=FIX) if p.fix == COPY_AGAIN else p for p in refused.problems)
@@ -164,39 +157,15 @@ def opening_tiff(path: Path) -> Iterator[list[TiffPage]]:
         raise TiffRefused(_unreadable(path, error)) from error
 
 
-@contextmanager
-def _tiff_file(path: Path) -> Iterator[TiffFile]:
-    from tifffile import TiffFile
-
-    with path.open("rb") as handle, TiffFile(handle, name=path.name) as tiff:
-        yield tiff
-
-
 def _check_bands(path: Path, pages: list[TiffPage], uniform: bool) -> None:
     wrong = [p for p in pages if p.ndim != 2]
     if uniform:
         wrong += [p for p in pages if (p.shape, p.dtype) != (pages[0].shape, pages[0].dtype)]
     if wrong or not pages:
-        raise TiffRefused(
-            Problem(
-                "E_SIZE",
-                "pages are not bands of one size and type" if wrong else "there are no bands",
-                file=str(path),
-                found=f"page {wrong[0].index}: {wrong[0].shape} {wrong[0].dtype}" if wrong else 0,
-                expected=f"{pages[0].shape} {pages[0].dtype}" if pages else "one page a band",
-            )
-        )
-
-
-def _segments(page: TiffPage, start: int, stop: int) -> range:
-    if stop <= start:
-        return range(0)
-    high, across = _segment_height(page), page.chunked[-1]
-    return range(start // high * across, ((stop - 1) // high + 1) * across)
-
-
-def _segment_height(page: TiffPage) -> int:
-    return int(page.tilelength if page.is_tiled else min(page.rowsperstrip, page.shape[0]))
+        what = "pages are not bands of one size and type" if wrong else "there are no bands"
+        found = f"page {wrong[0].index}: {wrong[0].shape} {wrong[0].dtype}" if wrong else "0"
+        expected = f"{pages[0].shape} {pages[0].dtype}" if pages else "one page a band"
+        raise TiffRefused(Problem("E_SIZE", what, str(path), found=found, expected=expected))
 
 
 def _stored(handle: BinaryIO, page: TiffPage, number: int) -> bytes:
@@ -210,11 +179,7 @@ def _stored(handle: BinaryIO, page: TiffPage, number: int) -> bytes:
 
 def _place(handle: BinaryIO, page: TiffPage, number: int, plane: np.ndarray, start: int) -> None:
     """Read one strip or tile and copy what of it lies in `plane`, whose first row is `start`."""
-    data = _stored(handle, page, number)
-    if _is_as_written(page):
-        _place_floats(data, page, number, plane, start)
-        return
-    decoded, (_, _, top, left, _), _ = page.decode(data, number)
+    decoded, (_, _, top, left, _), _ = page.decode(_stored(handle, page, number), number)
     pixels = np.asarray(decoded)[0, :, :, 0]
     skip = max(0, start - top)
     rows = pixels[skip : start + len(plane) - top]
@@ -223,35 +188,10 @@ def _place(handle: BinaryIO, page: TiffPage, number: int, plane: np.ndarray, sta
     part[...] = rows[: part.shape[0], : part.shape[1]]
 
 
-def _is_as_written(page: TiffPage) -> bool:
-    """Return whether a page has strips of floats as `database.spectral_tiff` writes them."""
-    kind = (page.compression, page.predictor, page.dtype, page.fillorder, page.is_tiled)
-    return kind == (8, 3, np.float32, 1, False) and page.parent.byteorder == "<"
-
-
-def _place_floats(data: bytes, page: TiffPage, number: int, plane: np.ndarray, start: int) -> None:
-    """Decode a strip of floats as `_place` does, and the predictor of the rows alone that lie in `plane`: it takes longer than to inflate."""
-    from imagecodecs import deflate_decode, floatpred_decode
-
-    (height, width), high = page.shape, _segment_height(page)
-    top = number * high
-    rows = min(high, height - top)
-    inflated = deflate_decode(data, out=rows * width * plane.dtype.itemsize)
-    stored = np.frombuffer(inflated, plane.dtype).reshape(rows, width)
-    first, last = max(0, start - top), min(rows, start + len(plane) - top)
-    part = plane[top + first - start : top + last - start]
-    floatpred_decode(stored[first:last], axis=-1, out=part)
-
-
 def _unreadable(path: Path, error: BaseException, index: int | None = None) -> Problem:
     if isinstance(error, FileNotFoundError) and (absent := missing_path(path, "file")) is not None:
         return absent
     reason = " ".join(str(error).split())[:200] or type(error).__name__
     where = "" if index is None else f" in band page {index}"
-    return Problem(
-        "E_UNREADABLE",
-        f"{path.name} cannot be read{where}: {reason}",
-        file=str(path),
-        expected="a TIFF, whole",
-        fix=FIX,
-    )
+    what = f"{path.name} cannot be read{where}: {reason}"
+    return Problem("E_UNREADABLE", what, str(path), expected="a TIFF, whole", fix=FIX)

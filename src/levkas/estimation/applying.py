@@ -59,7 +59,7 @@ def apply_model(
     root = Path(database)
     opened, stored = Database(root), read_model(Path(model))
     names = require_layers(opened, stored.sources, "MODEL")
-    check_new_layer(opened, names, layer, objects, kind=ESTIMATED, field="-o")
+    check_new_layer(root, layer, names, objects, kind=ESTIMATED, field="-o")
     chosen = [name for name in names if not objects or name in objects]
     first = (LayerId.parse(names[0], source) for source in stored.sources)
     channels = sum(opened[key.object][key.camera, key.setup].shape[2] for key in first)

@@ -580,9 +580,9 @@ def write_chart(
     layer = Layer(chart, capture.camera, capture.setup, credits=credits, centroids=centroids)
     written = []
     for sensor, cube in developed.cubes.items():
-        stem = "_".join(part for part in (layer.stem, sensor) if part)
+        stem = "_".join(part for part in (layer.id.stem, sensor) if part)
         written += write_tiffs(folder / stem, layer, cube)
-    record = folder / f"{layer.stem}.json"
+    record = folder / f"{layer.id.stem}.json"
     quantity = next(iter(developed.cubes.values())).quantity
     named = {
         sensor: {label: list(box) for label, box in places}
