@@ -30,20 +30,17 @@ from levkas.database.spectral_tiff import METADATA
 
 xarray.register_dataarray_accessor("levkas")(LayerAccessor)
 
+OBJECT_CRS = (
+    'ENGCRS["grid of the object",EDATUM["middle of its first pixel"],CS[Cartesian,2],'
+    'AXIS["x",displayRight,ORDER[1]],AXIS["y",displayDown,ORDER[2]],LENGTHUNIT["millimetre",0.001]]'
+)
+"""Of places on an object, mm, as OGC's well-known text (ISO 19162) spells a local system."""
+
 
 class Database(Mapping[str, "Object"]):
-    """A published database, object by object.
+    """A published database at `path`, object by object; `catalogue` is empty where the folder has none, and layers are found by their files.
 
-    Attributes
-    ----------
-    path : Path
-    catalogue : tuple of Entry
-        Empty where the folder has none; the layers are then found by their files.
-
-    Raises
-    ------
-    DatabaseRefused
-        Where the folder holds no database.
+    Raises DatabaseRefused where the folder holds no database.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -73,7 +70,7 @@ class Database(Mapping[str, "Object"]):
 
     @cached_property
     def _layers(self) -> dict[str, list[tuple[str, str]]]:
-        """Camera and setup of every layer by object; no layers where there is no catalogue."""
+        """Camera and setup of every layer by object; none of any where there is no catalogue."""
         if not self.catalogue:
             place = self.path / "objects"  # none where every capture was refused
             folders = place.iterdir() if place.is_dir() else ()
@@ -115,7 +112,7 @@ class Object(Mapping[Any, xarray.DataArray]):
         return list(self)
 
     def __repr__(self) -> str:
-        layers = ", ".join(layer_name(*layer) for layer in self.layers)
+        layers = ", ".join(layer_name(*one) for one in self.layers)
         return f"<levkas object {self.name}: {layers or 'no layers'}>"
 
     def dataset(self, camera: str, setup: str = "") -> xarray.Dataset:
@@ -130,31 +127,27 @@ class Object(Mapping[Any, xarray.DataArray]):
         values = self[camera, setup]
         parts = {"values": values, "flags": values.levkas.flags, "sigma": values.levkas.sigma}
         known = {name: part for name, part in parts.items() if part is not None}
-        budget = read_budget(self.path, self._layer((camera, setup)))
-        rows = budget_variables(budget, values.band)
+        rows = budget_variables(read_budget(self.path, self._layer((camera, setup))), values.band)
         facts = {"Conventions": "CF-1.11", "title": f"{self.name}, {values.name}"}
-        made = _in_millimetres(xarray.Dataset({**known, **rows}, attrs=facts))
-        components = ["sigma"] if "sigma" in known else []
-        if components or rows:
-            made["values"].attrs["unc_comps"] = [*components, *rows]
+        made = xarray.Dataset({**known, **rows}, attrs=facts)
+        if scale := values.attrs.get("px_per_mm"):
+            about = {"units": "mm", "long_name": "place on the object"}
+            columns = {f"{axis}_mm": (axis, made[axis].values / scale, about) for axis in "xy"}
+            made = made.assign_coords(columns)
+            made["grid"] = ((), 0, {"crs_wkt": OBJECT_CRS})
+            for name in known:
+                made[name].attrs["grid_mapping"] = "grid: x_mm y_mm"
+        if components := [*(["sigma"] if "sigma" in known else []), *rows]:
+            made["values"].attrs["unc_comps"] = components
         return made
 
     def position_sigma(
         self, camera: str, band: str | None = None, setup: str = ""
     ) -> xarray.DataArray | None:
-        """Return how well the position of a band is known in every pixel of the grid, (y, x).
+        """Return how well the position of a band (default: the camera's reference channel) is known in every pixel of the grid, (y, x).
 
-        Parameters
-        ----------
-        camera, setup : str
-        band : str, optional
-            The camera's reference channel without it.
-
-        Returns
-        -------
-        sigma : xarray.DataArray, (y, x), float32, or None
-            One standard deviation of either axis, reference px: nine of ten positions lie within
-            2.146 of them. None where the method of registration does not know.
+        One standard deviation of either axis, reference px, float32: nine of ten positions lie within 2.146 of them. None
+        where the method of registration does not know.
         """
         from levkas.database.pixel_frames import find_position_sigma
 
@@ -166,35 +159,11 @@ class Object(Mapping[Any, xarray.DataArray]):
         return xarray.DataArray(values, places, ("y", "x"), "position_sigma", facts)
 
     def _layer(self, key: str | tuple[str, str]) -> LayerId:
-        camera, setup = (key, "") if isinstance(key, str) else key
-        if (camera, setup) not in self.layers:
-            there = ", ".join(layer_name(*layer) for layer in self.layers)
-            raise KeyError(
-                f"{self.name} has no layer {layer_name(camera, setup)!r}; it has: {there}"
-            )
-        return LayerId(self.name, camera, setup)
-
-
-OBJECT_CRS = (
-    'ENGCRS["grid of the object",EDATUM["middle of its first pixel"],CS[Cartesian,2],'
-    'AXIS["x",displayRight,ORDER[1]],AXIS["y",displayDown,ORDER[2]],LENGTHUNIT["millimetre",0.001]]'
-)
-"""Of places on an object, mm, as OGC's well-known text (ISO 19162) spells a local system."""
-
-
-def _in_millimetres(made: xarray.Dataset) -> xarray.Dataset:
-    """Give a dataset of known sampling places on the object, and the grid mapping that they are in."""
-    scale = made["values"].attrs.get("px_per_mm")
-    if not scale:
-        return made
-    facts = {"units": "mm", "long_name": "place on the object"}
-    columns = {f"{axis}_mm": (axis, made[axis].values / scale, facts) for axis in ("x", "y")}
-    made = made.assign_coords(columns)
-    made["grid"] = ((), 0, {"crs_wkt": OBJECT_CRS})
-    for name in ("values", "flags", "sigma"):
-        if name in made:
-            made[name].attrs["grid_mapping"] = "grid: x_mm y_mm"
-    return made
+        layer = LayerId(self.name, *((key,) if isinstance(key, str) else key))
+        if (layer.camera, layer.setup) not in self.layers:
+            there = ", ".join(layer_name(*one) for one in self.layers)
+            raise KeyError(f"{self.name} has no layer {layer.name!r}; it has: {there}")
+        return layer
 
 
 def _layers_found(path: Path, name: str) -> tuple[tuple[str, str], ...]:
@@ -210,8 +179,7 @@ def _layers_found(path: Path, name: str) -> tuple[tuple[str, str], ...]:
         try:
             check_plain_names(camera, setup or "-")
         except ValueError as error:
-            raise DatabaseRefused(
-                Problem("E_VALUE", str(error), str(tiff), f"tag {METADATA}")
-            ) from None
+            tag = f"tag {METADATA}"
+            raise DatabaseRefused(Problem("E_VALUE", str(error), str(tiff), tag)) from None
         found.append((camera, setup))
     return tuple(found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -18,39 +18,36 @@ from levkas.calibration.error_sources import (
     join,
     uncertain_mean,
 )
+from levkas.core.cube import Band
 from levkas.core.problems import Problem
 from levkas.core.text import read_json
 from levkas.database.catalogue import DatabaseRefused
+from levkas.database.described import Pixels
 from levkas.database.layout import MADE_OF, LayerId
-from levkas.database.regions import TRUSTED, Region, RegionRefused
+from levkas.database.pixel_frames import Frame, MappingRefused, Records, position_sigma_at
+from levkas.database.regions import Region, is_sound, refused
 
 if TYPE_CHECKING:
     import xarray
 
-    from levkas.core.cube import Band
-    from levkas.database.described import Pixels
-    from levkas.database.pixel_frames import Records
-
 Of = Literal["mean", "difference", "ratio", "delta_e"]
 PROVENANCE = "provenance.json"
 PLACE = "place"
-LONG_NAMES = {"sigma": "part of sigma by {}, which a region of one paint has in common"}
 NO_BUDGET = "all that pixels share: the layer has no budget"
 OTHER_BUDGET = (
     "all that pixels share: the layer's budget is of another version of Levkas; build it again"
 )
 NONE = np.ones((1, 1))
 """Correlation of noise that no neighbours share."""
+UNITS = {"relative": "%", "reflectance": "1", "sigma": "1", "counts": "count"}
 
 
 @dataclass(frozen=True, eq=False)
 class LayerBudget:
     """What a database says of the errors of a layer.
 
-    Parameters
-    ----------
-    correlation : ndarray, (2r + 1, 2r + 1)
-        Of the noise of a pixel with that of its neighbours on the grid, 1 in the middle: they were interpolated from the same pixels.
+    `correlation`, (2r + 1, 2r + 1), is of the noise of a pixel with that of its neighbours on the grid, 1 in the middle:
+    they were interpolated from the same pixels.
     """
 
     sources: tuple[ErrorSource, ...] = ()
@@ -67,46 +64,28 @@ def read_budget(root: Path, layer: LayerId) -> LayerBudget:
     if not path.is_file():
         return LayerBudget()
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        return _budget_of_made(record) if made_of else _budget_in(record, layer)
+        record = json.loads(path.read_bytes())
+        if made_of:
+            rows, correlation = record.get("uncertainty", []), record.get("noise_correlation")
+        else:
+            key = (layer.camera, layer.setup)
+            mine = {s["stage"]: s for s in record["steps"] if (s["camera"], s["setup"]) == key}
+            rows = mine["calibrate"]["uncertainty"] if "calibrate" in mine else []
+            correlation = mine.get("resample", {}).get("noise_correlation")
+        known = tuple(ErrorSource.from_dict(row) for row in rows)
+        return LayerBudget(known, NONE if correlation is None else np.array(correlation, float))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        problem = Problem(
-            "E_DAMAGED",
-            "what the layers of this object were made of cannot be read, or is of another version of Levkas",
-            str(path),
-            found=f"nothing under {error}"
-            if isinstance(error, KeyError)
-            else f"{type(error).__name__}: {error}",
-            expected="steps with uncertainties, as a build writes them",
-            fix="Build it again.",
-        )
-        raise DatabaseRefused(problem) from error
-
-
-def _budget_in(record: Mapping[str, Any], layer: LayerId) -> LayerBudget:
-    """Read the budget of a layer off its object's provenance."""
-    steps: Sequence[Mapping[str, Any]] = record["steps"]
-    mine = {
-        s["stage"]: s for s in steps if (s["camera"], s["setup"]) == (layer.camera, layer.setup)
-    }
-    rows = mine["calibrate"]["uncertainty"] if "calibrate" in mine else []
-    return _as_budget(rows, mine.get("resample", {}).get("noise_correlation"))
+        what = "the uncertainties of this object cannot be read, or are of another version"
+        found = f"{type(error).__name__}: {error}"
+        expected = "steps with uncertainties, as a build writes them"
+        facts = (str(path), None, found, expected, "Build it again.")
+        raise DatabaseRefused(Problem("E_DAMAGED", what, *facts)) from error
 
 
 def _record_of(root: Path, layer: LayerId) -> Path | None:
     """Return the record of what a layer was made of; None of one that was measured."""
     paths = (root / f"{layer.path}{ending}" for ending in MADE_OF.values())
     return next((path for path in paths if path.is_file()), None)
-
-
-def _budget_of_made(record: Mapping[str, Any]) -> LayerBudget:
-    """Read the budget of a layer that was made from others off its record."""
-    return _as_budget(record.get("uncertainty", []), record.get("noise_correlation"))
-
-
-def _as_budget(rows: Sequence[Mapping[str, Any]], correlation: Any) -> LayerBudget:
-    known = tuple(ErrorSource.from_dict(row) for row in rows)
-    return LayerBudget(known, NONE if correlation is None else np.array(correlation, float))
 
 
 def mean_correlation(several: Sequence[np.ndarray]) -> np.ndarray:
@@ -129,39 +108,36 @@ def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, x
     import xarray
 
     found: dict[str, xarray.DataArray] = {}
+    labels = [str(label) for label in np.atleast_1d(band.values)]
     for row in budget.sources:
         if not row.size or row.common_to == "pixel":
             continue
-        sizes = np.array([row.size.get(str(label), np.nan) for label in np.atleast_1d(band.values)])
-        percent = row.unit == "relative"
+        what = "part of sigma, common to a region of one paint, by {}"
         attributes: dict[str, Any] = {
-            "long_name": LONG_NAMES.get(row.unit, "standard uncertainty by {}").format(row.name),
-            "units": {"relative": "%", "reflectance": "1", "sigma": "1", "counts": "count"}.get(
-                row.unit, row.unit
+            "long_name": (what if row.unit == "sigma" else "standard uncertainty by {}").format(
+                row.name
             ),
+            "units": UNITS.get(row.unit, row.unit),
             "pdf_shape": "gaussian",
             "common_to": row.common_to,
             "basis": row.basis,
         }
-        line = row.common_to == "line"
-        forms = {"y": line, "x": False, "band": not row.all_bands}
+        forms = {"y": row.common_to == "line", "x": False, "band": not row.all_bands}
         for n, (dim, random) in enumerate(forms.items(), 1):
             form = "random" if random else "systematic"
             attributes |= {f"err_corr_{n}_dim": dim, f"err_corr_{n}_form": form}
             attributes |= {f"err_corr_{n}_params": [], f"err_corr_{n}_units": []}
         if row.zero_at:
-            attributes["zero_at"] = [
-                row.zero_at.get(str(b), np.nan) for b in np.atleast_1d(band.values)
-            ]
+            attributes["zero_at"] = [row.zero_at.get(label, np.nan) for label in labels]
         name = "u_" + row.name.replace(" ", "_")
         if name in found:  # a second part of the same source, in another unit
             name += f"_{row.unit}"
         several = name
         while name in found:  # draws of their own
             name = f"{several}_{sum(other.startswith(several) for other in found) + 1}"
-        found[name] = xarray.DataArray(
-            100 * sizes if percent else sizes, {"band": band}, ("band",), attrs=attributes
-        )
+        scale = 100 if row.unit == "relative" else 1
+        sizes = scale * np.array([row.size.get(label, np.nan) for label in labels])
+        found[name] = xarray.DataArray(sizes, {"band": band}, ("band",), attrs=attributes)
     return found
 
 
@@ -177,11 +153,12 @@ def position_sigmas(
     Of a layer that was made from others it is that of the least known of its sources, in its reference channel. `records` are those of
     its object, where they are read for several layers.
     """
-    from levkas.database.pixel_frames import Frame, MappingRefused, Records, position_sigma_at
-
-    if record := _record_of(root, layer):
-        return _of_sources(root, layer, read_json(record).get("from", ()), labels, places)
     found = np.full((len(places), len(labels)), np.nan)
+    if record := _record_of(root, layer):
+        for source in read_json(record).get("from", ()):
+            one = LayerId.parse(layer.object, str(source))
+            found = np.fmax(found, position_sigmas(root, one, [""], places))
+        return found
     try:
         records = records or Records(root, layer.object)
         corners = records.pixels(Frame()).from_reference.inverse(np.array([[0.0, 0], [1, 0]]))
@@ -193,22 +170,10 @@ def position_sigmas(
     return found / float(np.hypot(*(corners[1] - corners[0])))
 
 
-def _of_sources(
-    root: Path, layer: LayerId, sources: Sequence[str], labels: Sequence[str], places: np.ndarray
-) -> np.ndarray:
-    """Return how well the places of an estimated layer are known, (p, n) px."""
-    found = np.full((len(places), len(labels)), np.nan)
-    for source in sources:
-        key = LayerId.parse(layer.object, str(source))
-        found = np.fmax(found, position_sigmas(root, key, [""], places))
-    return found
-
-
 def with_place(budget: LayerBudget, labels: Sequence[str], sigmas_px: np.ndarray) -> LayerBudget:
     """Add how well the place of each band is known, (n,) px of the grid."""
-    size = {
-        band: float(one) for band, one in zip(labels, sigmas_px, strict=True) if np.isfinite(one)
-    }
+    known = zip(labels, np.asarray(sigmas_px, float).tolist(), strict=True)
+    size = {band: one for band, one in known if np.isfinite(one)}
     row = ErrorSource(PLACE, "px", size, "frame", all_bands=True)
     return replace(budget, sources=(*budget.sources, row)) if size else budget
 
@@ -218,40 +183,22 @@ def mean_of_region(
 ) -> MeanSpectrum:
     """Return the mean of a region's sound pixels, its random uncertainty and its slopes, band by band.
 
-    Parameters
-    ----------
-    pixels : Pixels, (h, w, bands)
-    region : Region
-        In px of `pixels`.
-    correlation : ndarray, (2r + 1, 2r + 1)
-        Of the noise of neighbours.
-
-    Raises RegionRefused: ``E_REGION`` where no pixel lies within.
-
-    Notes
-    -----
-    The variance of the mean of n pixels is Σₚ Σₗ ρ(l) σₚ σₚ₊ₗ / n². With σ of 0.01, ρ of 0.5 to the four nearest and many
-    pixels it is three times σ²/n.
+    `region` is in px of `pixels`, (h, w, bands); `correlation`, (2r + 1, 2r + 1), is of the noise of neighbours. The variance
+    of the mean of n pixels is Σₚ Σₗ ρ(l) σₚ σₚ₊ₗ / n²: with σ of 0.01, ρ of 0.5 to the four nearest and many pixels it is
+    three times σ²/n. Raises RegionRefused: ``E_REGION`` where no pixel lies within.
     """
     height, width, _ = pixels.values.shape
     x0, y0, x1, y1 = region.bounds
-    rows = np.arange(max(0, int(np.ceil(y0))), min(height, int(np.floor(y1)) + 1))
-    columns = np.arange(max(0, int(np.ceil(x0))), min(width, int(np.floor(x1)) + 1))
+    # One pixel around, so that the picture has a slope at the rim too.
+    rows = np.arange(max(0, int(np.ceil(y0)) - 1), min(height, int(np.floor(y1)) + 2))
+    columns = np.arange(max(0, int(np.ceil(x0)) - 1), min(width, int(np.floor(x1)) + 2))
     inside = region.contains(columns[None], rows[:, None])
     if not inside.any():
-        raise RegionRefused(
-            Problem(
-                "E_REGION",
-                "this is not a region of the layer",
-                found="no pixel within",
-                expected="the centre of a pixel of the array, by its x and y",
-            )
-        )
-    # One pixel around, so that the picture has a slope at the rim too.
-    rows, columns, inside = _widened(rows, columns, inside, (height, width))
-    within = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    values, marks, noise = pixels.part(*within)
-    good = ((marks & ~TRUSTED) == 0) & np.isfinite(values)
+        raise refused("no pixel within", "the centre of a pixel of the array, by its x and y")
+    values, marks, noise = pixels.part(
+        slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    )
+    good = is_sound(values, marks)
     sound = inside[..., None] & good
     count = sound.sum((0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -261,30 +208,20 @@ def mean_of_region(
         )
     random, sigma = np.zeros((2, len(count)))
     if noise is not None:
+        from scipy.ndimage import correlate
+
         spread = np.where(sound, noise, 0.0).astype(float)
         sigma = np.sqrt(np.square(spread).sum((0, 1)) / np.maximum(count, 1))
-        random = _of_mean(spread, correlation)
-    wavelengths = np.array([band.wavelength for band in bands])
+        shared = correlate(spread, correlation[..., None], mode="constant")
+        total = np.maximum((spread * shared).sum((0, 1)), 0.0)
+        random = np.sqrt(total) / np.maximum(np.count_nonzero(spread, (0, 1)), 1)
     return MeanSpectrum(
-        *([band.label for band in bands], mean, random, wavelengths),
+        *([band.label for band in bands], mean, random),
+        np.array([band.wavelength for band in bands]),
         gradient=np.nan_to_num(slopes),
         lines=int(inside.any(1).sum()),
         sigma=sigma,
     )
-
-
-def _widened(
-    rows: np.ndarray, columns: np.ndarray, inside: np.ndarray, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return rows, columns and what lies inside with one pixel more on every side that the grid has."""
-    wide = []
-    for axis, (at, size) in enumerate(zip((rows, columns), shape, strict=True)):
-        first, last = max(0, at[0] - 1), min(size - 1, at[-1] + 1)
-        more = [(0, 0), (0, 0)]
-        more[axis] = (int(at[0] - first), int(last - at[-1]))
-        inside = np.pad(inside, more)
-        wide.append(np.arange(first, last + 1))
-    return wide[0], wide[1], inside
 
 
 def _slopes(values: np.ndarray, sound: np.ndarray) -> list[np.ndarray]:
@@ -296,25 +233,6 @@ def _slopes(values: np.ndarray, sound: np.ndarray) -> list[np.ndarray]:
     ]
 
 
-def _of_mean(sigma: np.ndarray, correlation: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of means of pixels, (h, w, n), 0 of those that do not count, (n,); neighbours share noise."""
-    reach = len(correlation) // 2
-    wide = np.pad(sigma, ((reach, reach), (reach, reach), (0, 0)))
-    height, width, bands = sigma.shape
-    total = np.zeros(bands)
-    for dy, dx in _lags(reach):
-        share = correlation[dy + reach, dx + reach]
-        if share:
-            moved = wide[reach + dy : reach + dy + height, reach + dx : reach + dx + width]
-            total += share * np.einsum("yxk,yxk->k", sigma, moved)
-    return np.sqrt(np.maximum(total, 0.0)) / np.maximum(np.count_nonzero(sigma, (0, 1)), 1)
-
-
-def _lags(reach: int) -> Iterator[tuple[int, int]]:
-    steps = range(-reach, reach + 1)
-    return ((dy, dx) for dy in steps for dx in steps)
-
-
 def uncertain_region(
     mean: MeanSpectrum, budget: LayerBudget, layer: LayerId, region: object, *, owner: str = ""
 ) -> Uncertain:
@@ -323,44 +241,68 @@ def uncertain_region(
     return uncertain_mean(mean, budget.sources, layer=place, camera=camera, region=str(region))
 
 
+def uncertain_means(
+    root: Path,
+    layer: LayerId,
+    arrays: tuple[xarray.DataArray, xarray.DataArray, xarray.DataArray | None],
+    regions: Sequence[Region],
+) -> tuple[list[Uncertain], LayerBudget]:
+    """Return the means of regions with their errors, and the budget that they are of.
+
+    `arrays` are values, flags and sigma of neighbouring pixels of the grid; regions are by their x and y.
+    """
+    budget, values = read_budget(root, layer), arrays[0]
+    nm = np.atleast_1d(values.wavelength.values).astype(float)
+    labels = [str(label) for label in values.band.values]
+    bands = [Band(label, float(at)) for label, at in zip(labels, nm, strict=True)]
+    first, last = (np.array([values.x.values[k], values.y.values[k]]) for k in (0, -1))
+    middles = [np.reshape(region.bounds, (2, 2)).mean(0) for region in regions]
+    known = position_sigmas(root, layer, labels, np.clip(middles, first, last))
+    means = []
+    for region, sigmas in zip(regions, known, strict=True):
+        around = np.reshape(region.bounds, (2, 2)) + np.array([[-2.0], [2.0]])
+        low, high = np.clip(around, first, last)
+        part = {axis: slice(a, b) for axis, a, b in zip("xy", low, high, strict=True)}
+        cut = [None if a is None else a.sel(part).transpose("y", "x", "band") for a in arrays]
+        assert cut[0] is not None
+        corner = [float(cut[0][axis].values[0]) if cut[0][axis].size else 0.0 for axis in "xy"]
+        pixels = Pixels(*(None if one is None else one.values for one in cut))  # type: ignore[arg-type]
+        moved = replace(region, vertices=region.vertices - corner)
+        mean = mean_of_region(pixels, bands, moved, budget.correlation)
+        here = with_place(budget, labels, sigmas)
+        means.append(uncertain_region(mean, here, layer, region.vertices.tolist()))
+    return means, budget
+
+
 def combine(
     of: Of,
     labels: Sequence[str],
     wavelengths: np.ndarray,
     first: Uncertain,
-    second: Uncertain | None,
+    second: Uncertain | None = None,
 ) -> tuple[Uncertain, list[str]]:
-    """Return what is made of the means of one region or of two, and names of the numbers.
+    """Return what is made of the means of one region or of two, (n,) each, and names of the numbers.
 
-    Parameters
-    ----------
-    of : {"mean", "difference", "ratio", "delta_e"}
-        Means; difference or ratio of the first two bands of one region, or of two regions, band by band; ΔE2000 of two regions
-        under D65.
-    labels, wavelengths : (n,)
-        Of the bands.
-    first, second : Uncertain, (n,)
-
-    Raises RegionRefused: ``E_VALUE`` where it cannot be made of them.
+    Means; difference or ratio of the first two bands of one region, or of two regions, band by band; ΔE2000 of two regions
+    under D65. Raises RegionRefused: ``E_VALUE`` where it cannot be made of them.
     """
+    n = len(labels)
     if of == "mean" and second is None:
         return first, [*labels]
-    n = len(labels)
     if of == "delta_e" and second is not None:
         if n < 3 or not np.isfinite(wavelengths).all():
-            raise _unfit(f"{n} bands", "three bands or more, each with a wavelength")
-        return join([first, second]).through(lambda v: _delta_e(v[:n], v[n:], wavelengths)), [
-            "ΔE2000"
-        ]
+            expected = "three bands or more, each with a wavelength"
+            raise refused(f"{n} bands", expected, "E_VALUE")
+        both = join([first, second])
+        return both.through(lambda v: _delta_e(v[:n], v[n:], wavelengths)), ["ΔE2000"]
     if of not in ("difference", "ratio"):
-        raise _unfit(
-            f"of = {of!r}", f"one of {', '.join(get_args(Of))}; delta_e of two regions, mean of one"
-        )
+        expected = f"one of {', '.join(get_args(Of))}; delta_e of two regions, mean of one"
+        raise refused(f"of = {of!r}", expected, "E_VALUE")
     make = np.subtract if of == "difference" else np.divide
     if second is not None:
         return join([first, second]).through(lambda v: make(v[:n], v[n:])), [*labels]
     if n != 2:
-        raise _unfit(f"{n} bands", "two bands, or a second region")
+        raise refused(f"{n} bands", "two bands, or a second region", "E_VALUE")
     sign = "−" if of == "difference" else "/"
     return first.through(lambda v: make(v[:1], v[1:])), [f"{labels[0]} {sign} {labels[1]}"]
 
@@ -371,34 +313,20 @@ def _delta_e(first: np.ndarray, second: np.ndarray, wavelengths: np.ndarray) -> 
     return delta_e_2000(lab_of(first[None], wavelengths), lab_of(second[None], wavelengths))
 
 
-def _unfit(found: str, expected: str) -> RegionRefused:
-    return RegionRefused(
-        Problem("E_VALUE", "no uncertainty of this can be stated", found=found, expected=expected)
-    )
-
-
 def to_dataset(made: Uncertain, names: Sequence[str], unknown: Sequence[str]) -> xarray.Dataset:
     """Return numbers with their uncertainties: `u` standard, `U` expanded, its random and common part, and every source's."""
     import xarray
 
     rows = made.by_source()
     random = rows.get("noise", np.zeros(len(made.values)))
-    common = np.sqrt(np.maximum(made.sigma**2 - random**2, 0))
-    found = xarray.Dataset(
-        {
-            "value": ("band", made.values),
-            "u": ("band", made.sigma),
-            "U": (
-                "band",
-                COVERAGE * made.sigma,
-                {"long_name": f"expanded uncertainty, k = {COVERAGE:g}"},
-            ),
-            "u_random": ("band", random),
-            "u_common": ("band", common),
-            "u_by_source": (("source", "band"), np.array([*rows.values()]).reshape(-1, len(names))),
-        },
-        coords={"band": [*names], "source": [*rows]},
-    )
-    found["u"].attrs["long_name"] = "standard uncertainty"
-    found.attrs["not_known"] = [*unknown]
-    return found
+    expanded = {"long_name": f"expanded uncertainty, k = {COVERAGE:g}"}
+    variables = {
+        "value": ("band", made.values),
+        "u": ("band", made.sigma, {"long_name": "standard uncertainty"}),
+        "U": ("band", COVERAGE * made.sigma, expanded),
+        "u_random": ("band", random),
+        "u_common": ("band", np.sqrt(np.maximum(made.sigma**2 - random**2, 0))),
+        "u_by_source": (("source", "band"), np.array([*rows.values()]).reshape(-1, len(names))),
+    }
+    coords = {"band": [*names], "source": [*rows]}
+    return xarray.Dataset(variables, coords=coords, attrs={"not_known": [*unknown]})

@@ -26,15 +26,7 @@ class RegionRefused(Refused):
 
 @dataclass(frozen=True)
 class Region:
-    """A part of the grid.
-
-    Parameters
-    ----------
-    vertices : ndarray, (n, 2)
-        x, y of the corners of a polygon, px, pixel centres at whole numbers; of a circle its centre alone.
-    radius : float
-        Of a circle, px; 0: a polygon.
-    """
+    """A part of the grid: the corners of a polygon, (n, 2) px, or the centre of a circle of `radius` px; pixel centres are whole numbers."""
 
     vertices: np.ndarray
     radius: float = 0.0
@@ -59,9 +51,8 @@ class Region:
             (cx, cy), r = self.vertices[0], self.radius
             return np.asarray((x - cx) ** 2 + (y - cy) ** 2 <= r * r)
         inside = np.zeros(x.shape, bool)
-        for (ax, ay), (bx, by) in zip(
-            self.vertices, np.roll(self.vertices, -1, axis=0), strict=True
-        ):
+        beside = np.roll(self.vertices, -1, axis=0)
+        for (ax, ay), (bx, by) in zip(self.vertices, beside, strict=True):
             between = (ay > y) != (by > y)
             if between.any():
                 inside[between] ^= x[between] < ax + (y[between] - ay) / (by - ay) * (bx - ax)
@@ -77,54 +68,38 @@ def make_region(
     given = {"polygon": polygon, "rectangle": rectangle, "circle": circle}
     named = [name for name, one in given.items() if one is not None]
     if len(named) != 1:
-        raise _refused(", ".join(named) or "none", "one of polygon, rectangle and circle")
+        raise refused(", ".join(named) or "none", "one of polygon, rectangle and circle")
     numbers = np.asarray(given[named[0]], float)
     if not np.isfinite(numbers).all():
-        raise _refused(str(given[named[0]]), "finite numbers")
+        raise refused(str(given[named[0]]), "finite numbers")
     if rectangle is not None:
         if numbers.shape != (4,) or not (numbers[2:] >= numbers[:2]).all():
-            raise _refused(str(rectangle), "x0, y0, x1, y1 with x0 ≤ x1 and y0 ≤ y1")
+            raise refused(str(rectangle), "x0, y0, x1, y1 with x0 ≤ x1 and y0 ≤ y1")
         # Half a pixel more on each side: the pixels of both corners belong to it.
         x0, y0, x1, y1 = numbers + np.array([-0.5, -0.5, 0.5, 0.5])
         return Region(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
     if circle is not None:
         if numbers.shape != (3,) or not numbers[2] > 0:
-            raise _refused(str(circle), "x, y and a radius above 0")
+            raise refused(str(circle), "x, y and a radius above 0")
         return Region(numbers[None, :2], float(numbers[2]))
     if numbers.ndim != 2 or numbers.shape[1] != 2 or len(numbers) < 3:
-        raise _refused(f"shape {numbers.shape}", "three or more corners (x, y)")
+        raise refused(f"shape {numbers.shape}", "three or more corners (x, y)")
     return Region(numbers)
 
 
 def region_statistics(
     layer: xarray.DataArray, flags: xarray.DataArray, region: Region
 ) -> xarray.Dataset:
-    """Return mean, standard deviation and number of sound pixels of a region, band by band.
+    """Return `mean`, `std` (of n − 1) and number `n` of the sound pixels of a region, band by band, and `pixels`, all that lie within.
 
-    Parameters
-    ----------
-    layer, flags : DataArray, (y, x, band)
-        Read some rows at a time; nothing outside the region's rows is read.
-    region : Region
-        By the coordinates x and y of the layer.
-
-    Returns
-    -------
-    statistics : xarray.Dataset
-        Over ``band``: ``mean``; ``std``, with n − 1 in its denominator, NaN of fewer than two; ``n``, sound
-        pixels; ``pixels``, all of the region on the grid.
-
-    Raises RegionRefused: ``E_REGION`` where no pixel of the layer lies within.
+    NaN where no pixel is sound. `layer` and `flags` are read some rows at a time. Raises RegionRefused: ``E_REGION``.
     """
     import xarray
 
-    if set(layer.dims) != {"y", "x", "band"}:
-        raise _refused(f"dimensions {', '.join(map(str, layer.dims))}", "an array of y, x and band")
-    x0, y0, x1, y1 = region.bounds
-    columns, rows = _within(layer["x"].values, x0, x1), _within(layer["y"].values, y0, y1)
+    layer, flags = (array.transpose("y", "x", "band") for array in (layer, flags))
     bands, pixels = layer.sizes["band"], 0
     count, mean, spread = np.zeros(bands, np.int64), np.zeros(bands), np.zeros(bands)
-    for values, sound in _blocks(layer, flags, region, rows, columns):
+    for values, sound in _blocks(layer, flags, region):
         pixels += len(values)
         n = sound.sum(0)
         held = np.where(sound, values, 0.0)
@@ -136,7 +111,7 @@ def region_statistics(
         mean += (here - mean) * n / total
         count += n
     if not pixels:
-        raise _refused("no pixel within", "the centre of a pixel of the array, by its x and y")
+        raise refused("no pixel within", "the centre of a pixel of the array, by its x and y")
     with np.errstate(invalid="ignore", divide="ignore"):
         std = np.sqrt(np.where(count > 1, spread / (count - 1.0), np.nan))
     found = {
@@ -150,28 +125,35 @@ def region_statistics(
 
 
 def _blocks(
-    layer: xarray.DataArray, flags: xarray.DataArray, region: Region, rows: range, columns: range
+    layer: xarray.DataArray, flags: xarray.DataArray, region: Region
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield values of a region's pixels and which are sound, (pixels, bands), some rows at a time."""
-    across = slice(columns.start, columns.stop)
-    x, y = layer["x"].values[across], layer["y"].values
+    x0, y0, x1, y1 = region.bounds
+    columns, rows = _within(layer["x"].values, x0, x1), _within(layer["y"].values, y0, y1)
+    x, y = layer["x"].values[columns], layer["y"].values
     step = max(1, BLOCK_SAMPLES // max(1, len(x) * layer.sizes["band"]))
-    for top in rows[::step] if len(x) else ():
+    for top in range(rows.start, rows.stop, step) if len(x) else ():
         down = slice(top, min(top + step, rows.stop))
         mask = region.contains(x[None], y[down, None])
-        part = {"y": down, "x": across}
+        part = {"y": down, "x": columns}
         values = layer.isel(part).values[mask].astype(np.float64)
-        marks = flags.isel(part).values[mask]
-        yield values, ((marks & ~TRUSTED) == 0) & np.isfinite(values)
+        yield values, is_sound(values, flags.isel(part).values[mask])
 
 
-def _within(places: np.ndarray, low: float, high: float) -> range:
+def is_sound(values: np.ndarray, flags: np.ndarray) -> np.ndarray:
+    """Return which values are of the paint: finite, and without a flag that is not trusted."""
+    return ((flags & ~TRUSTED) == 0) & np.isfinite(values)
+
+
+def _within(places: np.ndarray, low: float, high: float) -> slice:
     """Return from which to which index places lie between two, in whatever order they are."""
     found = np.flatnonzero((places >= low) & (places <= high))
-    return range(found[0], found[-1] + 1) if len(found) else range(0)
+    return slice(found[0], found[-1] + 1) if len(found) else slice(0, 0)
 
 
-def _refused(found: str, expected: str) -> RegionRefused:
-    return RegionRefused(
-        Problem("E_REGION", "this is not a region of the layer", found=found, expected=expected)
-    )
+def refused(found: str, expected: str, code: str = "E_REGION") -> RegionRefused:
+    """Return the refusal of a region, or with ``E_VALUE`` of what cannot be made of it."""
+    what = "this is not a region of the layer"
+    if code != "E_REGION":
+        what = "no uncertainty of this can be stated"
+    return RegionRefused(Problem(code, what, found=found, expected=expected))

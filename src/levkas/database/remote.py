@@ -9,7 +9,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
-from functools import cached_property, total_ordering
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import Any, BinaryIO, cast
@@ -33,9 +33,7 @@ class RemoteRefused(Refused):
 
 
 def place(path: str | Path) -> Path:
-    """Return the path of a folder, or where an address is given, of a database on a server.
-
-    It is a `RemotePath` then, of which all that reads a database needs no more than of a `Path`.
+    """Return the path of a folder, or where an address is given, a `RemotePath`, with all of a `Path` that reading needs.
 
     Raises RemoteRefused where the address is none that is read, or holds a password.
 
@@ -44,9 +42,25 @@ def place(path: str | Path) -> Path:
     >>> str(place("s3://museum/icons/") / "catalogue.csv")
     's3://museum/icons/catalogue.csv'
     """
-    if isinstance(path, str) and "://" in path:
-        return cast(Path, RemotePath(RemoteStore(path)))
-    return Path(path) if isinstance(path, str) else path
+    if not isinstance(path, str) or "://" not in path:
+        return Path(path) if isinstance(path, str) else path
+    try:
+        parts = urlsplit(path)
+    except ValueError:  # brackets that are none of IPv6
+        parts = urlsplit("")
+    if (
+        parts.scheme not in SCHEMES
+        or not parts.netloc
+        or "@" in parts.netloc
+        or parts.query
+        or parts.fragment
+    ):
+        why, expected = "this is not the address of a database", "no password and no query"
+        fix = f"Give the credentials of a store in {CREDENTIALS}."
+        raise _refused(why, None, parts.scheme or "nothing", expected, fix)
+    root = RemotePath(path)
+    _STORES[root] = RemoteStore(str(root))
+    return cast(Path, root)
 
 
 def is_remote(path: object) -> bool:
@@ -58,24 +72,7 @@ class RemoteStore:
     """Files below one address, ``s3://BUCKET/PATH``, ``https://…`` or ``http://…``."""
 
     def __init__(self, url: str) -> None:
-        try:
-            parts = urlsplit(url)
-        except ValueError as error:  # brackets that are none of IPv6
-            raise _refused("this is not the address of a database", None, str(error)) from None
-        if parts.scheme not in SCHEMES or not parts.netloc:
-            raise _refused("this is not the address of a database", None, parts.scheme or "nothing")
-        if "@" in parts.netloc or parts.query or parts.fragment:
-            fix = f"Remove it; give the credentials of a store in {CREDENTIALS}."
-            place = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
-            raise _refused("an address must not contain a password or a query", place, fix=fix)
-        self.url = url.rstrip("/")
-        self._sizes: dict[str, int] = {}
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.url,)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> RemoteStore:
-        return self  # what was read already serves the copies that xarray makes
+        self.url, self._sizes = url, dict[str, int]()
 
     @cached_property
     def objects(self) -> Any:
@@ -122,16 +119,26 @@ class RemoteStore:
             lost = type(error).__module__.startswith("obstore")
             if not (lost or isinstance(error, FileNotFoundError | EOFError)):
                 raise
-            place = f"{self.url}/{name}".rstrip("/")
-            if isinstance(error, FileNotFoundError) or _status(error) == "404":
-                raise FileNotFoundError(place) from None
-            why, fix = _reason(error)
-            raise _refused(why, place, type(error).__name__, fix=fix) from None
+            shown, kind = f"{self.url}/{name}".rstrip("/"), type(error).__name__
+            status = re.search(r"status code: (\d{3})", str(error))
+            code = status[1] if status else ""
+            if isinstance(error, FileNotFoundError) or code == "404":
+                raise FileNotFoundError(shown) from None
+            why, fix = "the server cannot be reached, or does not answer", "Check the address."
+            if code in ("401", "403") or kind.startswith(("PermissionDenied", "Unauthenticated")):
+                why, fix = (
+                    "the server does not allow this",
+                    f"Check the address; set {CREDENTIALS}.",
+                )
+            elif kind.startswith("NotSupported"):
+                why = "the server does not support range requests"
+                fix = "Use one that does (nginx, Apache, S3), or copy the database."
+            raise _refused(why, shown, kind, fix=fix) from None
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """All files, as the manifest lists them."""
-        manifest = RemotePath(self, PurePosixPath(NAME))
+        manifest = RemotePath(self.url) / NAME
         if not manifest.is_file():
             why = "a server lists no files, and this database has no manifest"
             raise _refused(why, str(manifest), fix="Copy the database, or build it again.")
@@ -141,63 +148,26 @@ class RemoteStore:
         return (*found.files, NAME)
 
 
-@total_ordering
-class RemotePath:
+class RemotePath(PurePosixPath):
     """A file or folder of a remote database, with the part of `pathlib.Path` that reading needs."""
 
-    def __init__(self, store: RemoteStore, pure: PurePosixPath | None = None) -> None:
-        self.store, self.pure = store, pure or PurePosixPath()
+    __slots__ = ()
 
     def __str__(self) -> str:
-        return f"{self.store.url}/{self.key}".rstrip("/")
+        return super().__str__().replace(":/", "://", 1)
 
-    def __repr__(self) -> str:
-        return f"RemotePath({str(self)!r})"
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self.store.url, self.key)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, RemotePath) and str(self) == str(other)
-
-    def __lt__(self, other: RemotePath) -> bool:
-        return str(self) < str(other)
-
-    def __hash__(self) -> int:
-        return hash(str(self))
-
-    def __truediv__(self, name: str | PurePosixPath) -> RemotePath:
-        return RemotePath(self.store, self.pure / name)
+    @property
+    def store(self) -> RemoteStore:
+        """What it is read from: the address above it that was opened last."""
+        return next(_STORES[above] for above in (self, *self.parents) if above in _STORES)
 
     @property
     def key(self) -> str:
         """Its name in the store; empty for the database itself."""
-        return "" if self.pure == PurePosixPath() else self.pure.as_posix()
-
-    @property
-    def name(self) -> str:
-        """Last part of the address."""
-        return PurePosixPath(str(self)).name
-
-    @property
-    def stem(self) -> str:
-        """Last part without its ending."""
-        return PurePosixPath(self.name).stem
-
-    @property
-    def suffix(self) -> str:
-        """Ending of the last part."""
-        return PurePosixPath(self.name).suffix
-
-    @property
-    def parent(self) -> RemotePath:
-        """Folder that holds it; of the database that itself."""
-        return RemotePath(self.store, self.pure.parent)
-
-    def with_name(self, name: str) -> RemotePath:
-        """Return a file or folder beside; raises ValueError for the database itself."""
-        return RemotePath(self.store, self.pure.with_name(name))
-
-    def relative_to(self, other: RemotePath) -> PurePosixPath:
-        """Return the way from another folder of the database."""
-        return self.pure.relative_to(other.pure)
+        return str(self)[len(self.store.url) + 1 :]
 
     def stat(self) -> Any:
         """Return size and mode of a file; raises FileNotFoundError."""
@@ -215,10 +185,6 @@ class RemotePath:
     def is_dir(self) -> bool:
         """Whether the server has files below this name."""
         return next(self.names(), None) is not None
-
-    def is_symlink(self) -> bool:
-        """No file of a server is a link."""
-        return False
 
     def glob(self, pattern: str) -> Iterator[RemotePath]:
         """Yield the files, not the folders, that a pattern without ``**`` finds."""
@@ -242,6 +208,14 @@ class RemotePath:
         if mode != "rb":
             raise ValueError(f"a remote file is opened as 'rb', not {mode!r}")
         return cast(BinaryIO, io.BufferedReader(_RemoteFile(self.store, self.key), PIECE))
+
+
+_STORES: dict[RemotePath, RemoteStore] = {}
+
+
+def _restored(url: str, key: str) -> RemotePath:
+    root = RemotePath(url)
+    return (root if root in _STORES else cast(RemotePath, place(url))) / key
 
 
 class _RemoteFile(io.RawIOBase):
@@ -268,23 +242,6 @@ class _RemoteFile(io.RawIOBase):
         return len(data)
 
 
-def zarr_store(path: RemotePath) -> Any:
-    """Return the store of a database as Zarr reads it; a shard that is missing is refused, and no fill value."""
-    from zarr.storage import ObjectStore
-
-    class WholeStore(ObjectStore[Any]):
-        async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
-            found = await super().get(key, prototype, byte_range)
-            if found is None and not key.endswith("zarr.json"):
-                problem = Problem(
-                    "E_TRUNCATED", "a part of the layer is missing", f"{path.store.url}/{key}"
-                )
-                raise RemoteRefused(problem)
-            return found
-
-    return WholeStore(path.store.objects, read_only=True)
-
-
 def _credentials() -> dict[str, Any]:
     """Return what requests to an S3-like store carry: the credentials of the AWS tools, or none."""
     import boto3
@@ -296,22 +253,8 @@ def _credentials() -> dict[str, Any]:
     return {"config": config, "credential_provider": Boto3CredentialProvider(session)}
 
 
-def _status(error: Exception) -> str:
-    found = re.search(r"status code: (\d{3})", str(error))
-    return found[1] if found else ""
-
-
-def _reason(error: Exception) -> tuple[str, str]:
-    """Return what is wrong, and what to do about it."""
-    name, status = type(error).__name__, _status(error)
-    if name.startswith(("PermissionDenied", "Unauthenticated")) or status in ("401", "403"):
-        return "the server does not allow this", f"Check the address; set {CREDENTIALS}."
-    if name.startswith("NotSupported"):
-        fix = "Use a server with range requests (nginx, Apache, S3), or copy the database."
-        return "the server does not support range requests", fix
-    return "the server cannot be reached, or does not answer", "Check the address and the network."
-
-
-def _refused(why: str, place: str | None, found: str | None = None, *, fix: str = "") -> Refused:
-    expected = ", ".join(f"{scheme}://…" for scheme in SCHEMES)
+def _refused(
+    why: str, place: str | None, found: str | None = None, expected: str = "", fix: str = ""
+) -> RemoteRefused:
+    expected = ", ".join([*(f"{scheme}://…" for scheme in SCHEMES), *filter(None, [expected])])
     return RemoteRefused(Problem("E_REMOTE", why, place, None, found, expected, fix or None))
