@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from levkas.core.problems import Refused
-from levkas.database.splits import SHARES, split_objects
+from levkas.database.splits import MIDDLES, split_objects
 from levkas.publish.citation import check_datacite, cite, describe_datacite, format_cff
 from levkas.publish.metadata import Person, PublicationFacts, facts_of
 from levkas.publish.readme import plain
@@ -86,14 +86,14 @@ def test_an_object_keeps_its_split_when_others_come():
     names = [f"icon{i}" for i in range(60)]
     some, all_of_them = split_objects(names[:40]), split_objects(names)
     assert all(all_of_them[name] == split for name, split in some.items())
-    counts = [list(all_of_them.values()).count(split) for split in SHARES]
+    counts = [list(all_of_them.values()).count(split) for split in MIDDLES]
     assert sum(counts) == 60 and min(counts) >= 4
 
 
 @given(st.sets(st.text(min_size=1, max_size=6), min_size=3, max_size=12))
 def test_from_three_objects_on_no_split_is_empty(names):
     splits = split_objects(names)
-    assert set(splits.values()) == set(SHARES)
+    assert set(splits.values()) == set(MIDDLES)
     assert split_objects(reversed(sorted(names))) == splits
 
 

@@ -14,7 +14,6 @@ from levkas.database.layout import Places, layer_name
 from levkas.database.registrations import (
     apply_confirmation,
     mm_per_px,
-    outside_share,
     read_registration,
     unchecked_mm2,
     unchecked_share,
@@ -58,7 +57,7 @@ def confirm_layers(
         if path.relative_to(places.output).as_posix() not in records.products(registered):
             continue
         record = read_registration(path)
-        verdict = apply_confirmation(record, edits, capture)
+        verdict = apply_confirmation(record, edits.confirmed.get((capture.object, capture.layer)))
         if verdict == record["verdict"]:
             continue
         write_json(path, record | {"verdict": verdict})
@@ -178,7 +177,7 @@ def _errors(record: Mapping[str, Any]) -> dict[str, Any]:
         "held_out_mm": None if worst is None or scale is None else worst * scale,
         "checked_share": None if worst is None else 1 - unchecked_share(record),
         "unchecked_share": unchecked_share(record),
-        "outside_share": outside_share(record),
+        "outside_share": unchecked_share(record, "outside"),
         "unchecked_mm2": unchecked_mm2(record),
     }
 

@@ -32,7 +32,6 @@ from levkas.database.registrations import (
     describe_lying,
     describe_pairs,
     mm_per_px,
-    outside_share,
     read_registration,
     shares_light,
     unchecked_mm2,
@@ -300,7 +299,7 @@ def _layer(
         lying=" ".join(describe_lying(record)),
         by_hand=describe_pairs(record),
         unchecked=unchecked_share(record),
-        outside=outside_share(record),
+        outside=unchecked_share(record, "outside"),
         unchecked_area=_area_within(record),
         error=_describe_error(error, checked, scale),
         error_px=error,
@@ -340,7 +339,11 @@ def _area_within(record: Mapping[str, Any]) -> str:
     >>> _area_within({"grid": grid, "verdict": {"unchecked": 0.15, "outside": 0.14}})
     '25 mm² of the object'
     """
-    area, unchecked, outside = unchecked_mm2(record), unchecked_share(record), outside_share(record)
+    area, unchecked, outside = (
+        unchecked_mm2(record),
+        unchecked_share(record),
+        unchecked_share(record, "outside"),
+    )
     if area is None or not unchecked:
         return ""
     if outside < LEAST_OUTSIDE:

@@ -122,7 +122,9 @@ class Stages:
         capture, _ = captures_of(task)
         native, frame = self.native(capture), self.frame(task)
         found = measure(capture, native, frame, self.campaign)
-        verdict = apply_confirmation(found.record, self.campaign.edits, capture)
+        verdict = apply_confirmation(
+            found.record, self.campaign.edits.confirmed.get((capture.object, capture.layer))
+        )
         found = replace(found, record={**found.record, "verdict": verdict})
         size_mm = size_of(self.campaign, capture.object)
         write = partial(publish_registration, found, capture, self.places, size_mm)
@@ -160,11 +162,10 @@ def describe_anew(
     """Write anew what the files of a task say about their pixels, which stay; `before` as of `core.files.together`."""
     from levkas.core.files import together, write_json
     from levkas.database.catalogue import entry_of
-    from levkas.database.credits import credits_of
     from levkas.database.layers import describe_files
     from levkas.database.registrations import read_registration, with_size
     from levkas.stages.register import lasting_warnings
-    from levkas.stages.spectra import broad_centroids
+    from levkas.stages.spectra import broad_centroids, credits_of
 
     (capture, _), key = captures_of(task), task.key
     files, notes = [places.output / name for name in records.products(key)], records.notes(key)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import math
+import tomllib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from sys import intern
-from typing import TYPE_CHECKING
 
 from levkas.core.files import write_changed
 from levkas.core.problems import Problem, Refused
@@ -17,16 +18,14 @@ from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.layout import LayerId
 from levkas.database.remote import is_remote, place
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
 NAME = "catalogue.csv"
 LARGEST = 256 << 20
 """Bytes of a catalogue that is still read: two million layers."""
 LARGEST_REMOTE = 32 << 20
 """Of one on a server, whose size is the server's choice: a quarter of a million layers, 7 s and 0.4 GB."""
 MOST_PROBLEMS = 10
-MEASURED, ESTIMATED, SPLICED = "measured", "estimated", "spliced"
+KINDS = MEASURED, ESTIMATED, SPLICED = "measured", "estimated", "spliced"
+"""What a layer is: the last ones are made from others."""
 
 
 class DatabaseRefused(Refused):
@@ -37,9 +36,8 @@ class DatabaseRefused(Refused):
 class Entry:
     """One layer: an object by a camera under a setup ("" for the default one).
 
-    `bands` is their number, `width` and `height` are of the grid, `sha256` is of the layer's TIFF, `kind` is
-    ``"measured"``, or ``"estimated"`` where the layer was made from others. `earlier` is empty, or why the last build
-    could not make the layer anew: then it is of an earlier build.
+    `bands` is their number, `width` and `height` are of the grid, `sha256` is of the layer's TIFF, `kind` is one of `KINDS`.
+    `earlier` is empty, or why the last build could not make the layer anew: then it is of an earlier build.
     """
 
     object: str
@@ -75,27 +73,27 @@ COLUMNS = ALL_COLUMNS[:-2]
 def database_of(path: str | Path) -> Path:
     """Return the database that a path means: itself, or the output of a campaign where it is one's folder or campaign.toml.
 
-    Raises CampaignInvalid where campaign.toml cannot be used.
+    Raises DatabaseRefused where campaign.toml does not say it.
     """
     found = place(path)
     if is_remote(found) or (found / NAME).is_file():
         return found
-    if found.name == "campaign.toml" or (found / "campaign.toml").is_file():
-        from levkas.campaign.campaign import load_campaign
-
-        return load_campaign(found).output
-    return found
+    file = found if found.name == "campaign.toml" else found / "campaign.toml"
+    if not file.is_file():
+        return found
+    try:
+        keys = tomllib.loads(read_text(file, "a campaign in TOML")).get("campaign", {})
+        return (file.parent / keys.get("output", "database")).resolve()
+    except (TextRefused, tomllib.TOMLDecodeError, AttributeError, TypeError, ValueError) as error:
+        raise no_database(file, f"output = a folder under [campaign] ({error})") from None
 
 
 def no_database(path: Path, expected: str) -> DatabaseRefused:
     """Return the refusal of a path that is no database: of a folder that does not exist, or that is something else."""
     absent = None if is_remote(path) else missing_path(path)
-    if absent is not None:
-        return DatabaseRefused(absent)
-    fix = "Give the folder or the address of a database, or build the campaign first."
-    return DatabaseRefused(
-        Problem("E_UNREADABLE", "no database was found here", str(path), expected=expected, fix=fix)
-    )
+    what, fix = "no database was found here", "Give the folder of a database, or build it first."
+    found = Problem("E_UNREADABLE", what, str(path), expected=expected, fix=fix)
+    return DatabaseRefused(absent or found)
 
 
 def write_catalogue(database: str | Path, entries: Iterable[Entry]) -> Path:
@@ -118,43 +116,35 @@ def write_catalogue(database: str | Path, entries: Iterable[Entry]) -> Path:
 def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     """Read the catalogue of a database.
 
-    Raises
-    ------
-    DatabaseRefused
-        Where there is none, it is too large, or rows cannot be understood: the first ten of them.
-    LinkRefused
-        Where it is a link that leads out of the database.
+    Raises DatabaseRefused where there is none, it is too large, or rows cannot be understood (the first ten of them);
+    LinkRefused where it is a link that leads out of the database.
     """
     path = place(database) / NAME
     check_inside(path.parent, path)
-    entries, problems = [], []
+    entries, problems, fix = [], [], "Copy the database again, or give the folder of one."
     try:
         most = LARGEST_REMOTE if is_remote(path) else LARGEST
-        text = read_text(path, "a CSV in UTF-8", most=most)
-        rows = csv.reader(io.StringIO(text, newline=""))
-        _check_head(path, next(rows, []))
+        rows = csv.reader(io.StringIO(read_text(path, "a CSV in UTF-8", most=most), newline=""))
+        head = next(rows, [])
+        if len(head) < len(COLUMNS) or tuple(head) != ALL_COLUMNS[: len(head)]:
+            found, expected = ",".join(head)[:120] or "an empty file", ",".join(COLUMNS)
+            what = "the catalogue has wrong columns"
+            raise DatabaseRefused(Problem("E_KEY", what, str(path), "line 1", found, expected))
         for number, row in enumerate(rows, start=2):
             try:
                 entries.append(entry_of(row))
             except ValueError as error:
-                field = f"line {number}"
-                what, fix = (
-                    f"a row is damaged: {error}",
-                    "Copy the file again, or build the database again.",
-                )
+                what, field = f"a row is damaged: {error}", f"line {number}"
                 problems.append(Problem("E_VALUE", what, str(path), field, fix=fix))
             if len(problems) == MOST_PROBLEMS:
                 break
-    except (TextRefused, csv.Error) as error:
+    except csv.Error as error:
         what = f"the catalogue cannot be read: {error}"
-        fix = "Give the folder of a database, or build the campaign first."
-        problem = Problem("E_UNREADABLE", what, str(path), fix=fix)
-        if isinstance(error, TextRefused):
-            (damage,) = error.problems
-            fix = "Copy the database, and give its folder." if damage.code == "E_SIZE" else fix
-            what = f"the catalogue cannot be read: {damage.message}"
-            problem = replace(damage, message=what, fix=fix)
-        raise DatabaseRefused(problem) from error
+        raise DatabaseRefused(Problem("E_UNREADABLE", what, str(path), fix=fix)) from error
+    except TextRefused as refused:
+        (damage,) = refused.problems
+        what = f"the catalogue cannot be read: {damage.message}"
+        raise DatabaseRefused(replace(damage, message=what, fix=fix)) from refused
     if problems:
         raise DatabaseRefused(*problems)
     return tuple(entries)
@@ -165,19 +155,12 @@ def _whole_row(row: Sequence[str]) -> list[str]:
     return [*row, *(MEASURED, "")[len(row) - len(COLUMNS) :]]
 
 
-def _check_head(path: Path, row: list[str]) -> None:
-    if len(row) < len(COLUMNS) or tuple(row) != ALL_COLUMNS[: len(row)]:
-        found = ",".join(row)[:120] if row else "an empty file"
-        what, expected = "the catalogue has wrong columns", ",".join(COLUMNS)
-        raise DatabaseRefused(Problem("E_KEY", what, str(path), "line 1", found, expected))
-
-
 def entry_of(row: list[str]) -> Entry:
     """Return the entry of one row of the catalogue; raises ValueError where it is none."""
     if not len(COLUMNS) <= len(row) <= len(ALL_COLUMNS):
         raise ValueError(f"{len(row)} cells of {len(COLUMNS)}")
     kind, earlier = _whole_row(row)[len(COLUMNS) :]
-    if kind not in (MEASURED, ESTIMATED, SPLICED):
+    if kind not in KINDS:
         raise ValueError(f"unknown kind of layer: {kind!r}")
     name, camera, setup, bands, width, height, px_per_mm, quantity, verdict, sha256 = row[:10]
     check_plain_names(name, camera, setup or "-", f"{LayerId(name, camera, setup).stem}.sigma.tif")

@@ -4,22 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING
 from xml.sax.saxutils import escape
-
-if TYPE_CHECKING:
-    from levkas.campaign.campaign import Campaign
 
 
 @dataclass(frozen=True)
 class Credits:
-    """Facts of one object for the headers of its files; what is unknown is empty.
-
-    Parameters
-    ----------
-    date : str
-        ISO 8601, of the capture. Never from the clock.
-    """
+    """Facts of one object for the headers of its files; what is unknown is empty, `date` is of the capture, ISO 8601, never from the clock."""
 
     title: str = ""
     creator: str = ""
@@ -62,17 +52,6 @@ class Credits:
             f"{facts}</rdf:Description></rdf:RDF></x:xmpmeta>"
             '<?xpacket end="r"?>'
         ).encode("utf-8", "replace")
-
-
-def credits_of(campaign: Campaign, name: str, captured: str) -> Credits:
-    """Return the credits of an object's files; `captured` is the date that its frames say, or empty."""
-    facts, described = campaign.objects.get(name), campaign.campaign
-    return Credits(
-        title=(facts.title if facts else "") or name,
-        creator=described.creator,
-        date=captured or described.date or "",
-        rights=(facts.rights if facts else "") or described.licence,
-    )
 
 
 def _xml(text: str) -> str:

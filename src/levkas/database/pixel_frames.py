@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused, closest_match
-from levkas.core.text import missing_path, unusable_name
+from levkas.core.text import missing_path
 from levkas.database.catalogue import database_of
 from levkas.database.containment import check_inside, is_plain_name
 from levkas.database.layout import layer_name
@@ -28,9 +28,6 @@ from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.readers.facts import check_memory
 from levkas.readers.orientation import UPRIGHT, describe_turn
 from levkas.registration.record import Sigma
-
-if TYPE_CHECKING:
-    pass
 
 GRID = "grid"
 EDGE_PX = 1e-6
@@ -85,34 +82,33 @@ def parse_frame(text: str) -> Frame:
     parts = [part.strip() for part in (camera, setup, band, tile)]
     given = (True, at, colon, sharp)
     if any(mark and not part for mark, part in zip(given, parts, strict=True)):
-        raise MappingRefused(
-            Problem(
-                "E_KEY",
-                f"{text!r} is not a pixel frame",
-                found=text,
-                expected="grid, CAMERA, CAMERA:BAND, CAMERA@SETUP, CAMERA@SETUP:BAND or CAMERA#TILE:BAND",
-            )
-        )
+        expected = "grid, CAMERA, CAMERA:BAND, CAMERA@SETUP, CAMERA@SETUP:BAND or CAMERA#TILE:BAND"
+        what = f"{text!r} is not a pixel frame"
+        raise MappingRefused(Problem("E_KEY", what, found=text, expected=expected))
     return Frame(*parts)
 
 
 @dataclass(frozen=True)
 class FramePixels:
-    """A frame's part of the way: the map from reference px to its own, and what it covers.
-
-    `size` is [width, height], or None where the record does not say it.
-    """
+    """A frame's part of the way: the map from reference px to its own, and its size, (width, height), where the record says it."""
 
     from_reference: Transform
     size: tuple[float, float] | None = None
 
+    @classmethod
+    def read(cls, entry: Mapping[str, Any], *, inverse: bool = False) -> FramePixels:
+        """Read what a record says of a frame, whose map is the `inverse` where it leads to the reference."""
+        size, found = entry.get("size"), from_dict(entry.get("transform", entry))
+        return cls(Inverse(found) if inverse else found, tuple(map(float, size)) if size else None)  # type: ignore[arg-type]
+
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Return which of the (n, 2) points lie on the image, to the outer edges of its pixels."""
-        if self.size is None:
-            return np.isfinite(points).all(axis=1)
-        with np.errstate(invalid="ignore"):
-            low, high = -0.5 - EDGE_PX, np.array(self.size) - 0.5 + EDGE_PX
-            return np.all((points >= low) & (points <= high), axis=1)
+        known = np.isfinite(points).all(axis=1)
+        if self.size is not None:
+            with np.errstate(invalid="ignore"):
+                low, high = -0.5 - EDGE_PX, np.array(self.size) - 0.5 + EDGE_PX
+                known &= np.all((points >= low) & (points <= high), axis=1)
+        return known
 
 
 @dataclass(frozen=True)
@@ -129,18 +125,19 @@ class FrameMap:
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Map (n, 2) points; rows keep their order."""
         points = np.asarray(points, np.float64).reshape(-1, 2)
-        result = np.full(points.shape, np.nan)
-        rows = np.flatnonzero(self.source.inside(points))
-        if len(rows) == 0:
-            return result
-        middle = self.source.from_reference.inverse(points[rows])
-        known = self.reference.inside(middle) & np.isfinite(middle).all(axis=1)
-        rows, middle = rows[known], middle[known]
-        if len(rows) == 0:
-            return result
-        mapped = self.target.from_reference(middle)
-        known = self.target.inside(mapped)
-        result[rows[known]] = mapped[known]
+        result, rows = np.full(points.shape, np.nan), np.flatnonzero(self.source.inside(points))
+        steps = (
+            (self.source.from_reference.inverse, self.reference),
+            (self.target.from_reference, self.target),
+        )
+        points = points[rows]
+        for move, frame in steps:
+            if not len(rows):
+                return result
+            points = move(points)
+            known = frame.inside(points)
+            rows, points = rows[known], points[known]
+        result[rows] = points
         return result
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
@@ -148,108 +145,122 @@ class FrameMap:
         return FrameMap(self.target, self.source, self.reference)(points)
 
 
-def find_map(database: str | Path, name: str, source: str | Frame, target: str | Frame) -> FrameMap:
-    """Return the map between two frames of an object.
+class Records:
+    """The registration records of one object; those that were read already may be given by the names of their layers."""
 
-    Parameters
-    ----------
-    name : str
-        The object.
-    source, target : str or Frame
-        As in `parse_frame`; a camera alone means its reference channel.
+    def __init__(
+        self, database: Path, name: str, known: Mapping[str, dict[str, Any]] | None = None
+    ) -> None:
+        absent = None if is_remote(database) else missing_path(database)
+        if absent is not None:
+            raise MappingRefused(absent)
+        self.name = name
+        self.folder = database / "objects" / name / "registration"
+        if not is_plain_name(name) or not self.folder.is_dir():
+            found = database.glob("objects/*/registration/*.json")
+            there = sorted({p.parent.parent.name for p in found})
+            expected = ", ".join(there) or "a database with registration records"
+            what = f"there is no registered object {name!r}"
+            facts = (str(database), None, name, expected, closest_match(name, there))
+            raise MappingRefused(Problem("E_KEY", what, *facts))
+        self.layers = {p.stem: p for p in sorted(self.folder.glob("*.json"))}
+        check_inside(database, *self.layers.values())
+        self._read = dict(known or {})
+
+    def load(self, layer: str) -> dict[str, Any]:
+        """Return the record of a layer that has one."""
+        if layer not in self._read:
+            try:
+                self._read[layer] = read_registration(self.layers[layer])
+            except RecordRefused as refused:
+                raise MappingRefused(*refused.problems) from None
+        return self._read[layer]
+
+    def pixels(self, frame: Frame) -> FramePixels:
+        """Return the maps and the size of one frame."""
+        if frame.camera:
+            return FramePixels.read(self.entry(frame))
+        for layer in self.layers:
+            if grid := self.load(layer).get("grid"):
+                return FramePixels.read(grid, inverse=True)
+        what = f"no record of {self.name} describes the grid"
+        raise MappingRefused(Problem("E_KEY", what, str(self.folder), "grid"))
+
+    def entry(self, frame: Frame) -> dict[str, Any]:
+        """Return what a record says of one band."""
+        record = self._record(frame)
+        labels = list(record["bands"])
+        label = labels[find_band(labels, frame.band)] if frame.band else _reference_channel(record)
+        if not frame.tile:
+            return dict(record["bands"][label])
+        tiles, placed = record.get("tiles", {}), self.tiles(frame)
+        if frame.tile in placed:
+            return dict(tiles[frame.tile]["bands"][label])
+        left_out = tiles.get(frame.tile, {}).get("verdict", {}).get("reasons", [])
+        why = f"was left out: {' '.join(left_out)}" if frame.tile in tiles else "is not there"
+        expected = ", ".join(placed) or f"{frame.layer}, which has no tiles"
+        what, file = f"tile {frame.tile} of {frame.layer} {why}", str(self.layers[frame.layer])
+        facts = (file, None, str(frame), expected, closest_match(frame.tile, placed))
+        raise MappingRefused(Problem("E_KEY", what, *facts))
+
+    def tiles(self, frame: Frame) -> list[str]:
+        """Return the names of the tiles of a layer that were placed; none where it has no tiles."""
+        tiles = self._record(frame).get("tiles", {})
+        return [name for name, one in tiles.items() if one.get("bands")]
+
+    def reference(self) -> FramePixels:
+        """Return the reference frame itself, with its size where that is known."""
+        for layer in self.layers:
+            frame = _frame(self.load(layer).get("reference"))
+            if frame.layer in self.layers:
+                entry = self.load(frame.layer).get("bands", {}).get(frame.band, {})
+                same = {"transform": Affine.identity().to_dict()}
+                return FramePixels.read({**entry, **same})
+        return FramePixels(Affine.identity())
+
+    def _record(self, frame: Frame) -> dict[str, Any]:
+        if frame.layer not in self.layers:
+            there = [GRID, *self.layers]
+            what, near = f"{self.name} has no frame {frame}", closest_match(frame.layer, there)
+            facts = (str(self.folder), None, str(frame), ", ".join(there), near)
+            raise MappingRefused(Problem("E_KEY", what, *facts))
+        record = self.load(frame.layer)
+        verdict = record.get("verdict", {})
+        if verdict.get("decision") == "refuse" or not record.get("bands"):
+            reasons = "; ".join(verdict.get("reasons", [])) or "no reason is recorded"
+            what = f"the registration of {frame.layer} was refused: {reasons}"
+            file, fix = str(self.layers[frame.layer]), verdict.get("next_step") or None
+            raise MappingRefused(Problem("E_VERDICT", what, file, fix=fix))
+        return record
+
+
+def _reference_channel(record: dict[str, Any]) -> str:
+    label = _frame(record.get("target")).band
+    if label in record["bands"]:
+        return label
+    what, found = "the record does not name the reference channel", str(record.get("target"))
+    facts = (None, "target", found, ", ".join(record["bands"]), "Name a band: CAMERA:BAND.")
+    raise MappingRefused(Problem("E_KEY", what, *facts))
+
+
+def _frame(value: Any) -> Frame:
+    """Read a frame that a record names, as text or in its parts."""
+    if isinstance(value, dict):
+        return Frame(*(str(value.get(key) or "") for key in ("camera", "setup", "band")))
+    return parse_frame(value) if value else Frame()
+
+
+def find_map(database: str | Path, name: str, source: str | Frame, target: str | Frame) -> FrameMap:
+    """Return the map between two frames of an object, as in `parse_frame`; a camera alone means its reference channel.
 
     Raises MappingRefused where a frame is not there, or its registration was refused.
     """
     records = Records(database_of(database), name)
-    frames = [f if isinstance(f, Frame) else parse_frame(f) for f in (source, target)]
-    ends = [records.pixels(frame) for frame in frames]
-    return FrameMap(ends[0], ends[1], records.reference())
-
-
-def find_position_sigma(
-    database: str | Path, name: str, camera: str, setup: str = "", band: str | None = None
-) -> np.ndarray | None:
-    """Return how well the position of a band is known at every pixel of the grid.
-
-    Parameters
-    ----------
-    name : str
-        The object.
-    band : str, optional
-        The camera's reference channel without it.
-
-    Returns
-    -------
-    sigma : ndarray, (height, width), float32, reference px, or None
-        One standard deviation of either axis; NaN where the band does not see the object. None
-        where the record has none.
-
-    Raises MappingRefused.
-    """
-    records, frame = Records(database_of(database), name), Frame(camera, setup, band or "")
-    grid = records.pixels(Frame())
-    if "sigma" not in records.entry(frame) or grid.size is None:
-        return None
-    width, height = (round(n) for n in grid.size)
-    check_memory(records.folder, width * height * 2, 8)
-    x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-    values = position_sigma_at(records, frame, np.stack([x.ravel(), y.ravel()], 1))
-    return values.reshape(height, width)
-
-
-def position_sigma_at(records: Records, frame: Frame, points: np.ndarray) -> np.ndarray:
-    """Return how well the position of a band is known at (n, 2) px of the grid, reference px; NaN where it is outside or unknown."""
-    grid, entry = records.pixels(Frame()), records.entry(frame)
-    values = np.full(len(points), np.nan, np.float32)
-    if "sigma" in entry:
-        inside = FrameMap(grid, records.pixels(frame), records.reference())(points)
-        inside = np.isfinite(inside).all(1)
-        values[inside] = Sigma.from_dict(entry["sigma"])(
-            grid.from_reference.inverse(points[inside])
-        )
-    return values
-
-
-def predict_error(
-    record: Mapping[str, Any], size: tuple[int, int], step: int = 1
-) -> np.ndarray | None:
-    """Return the error of a registration over the grid as its own evidence predicts it.
-
-    Parameters
-    ----------
-    record : mapping
-        Of one layer.
-    size : (width, height)
-        Of the grid.
-    step : int
-        Every so many pixels.
-
-    Returns
-    -------
-    error : ndarray, (rows, columns), reference px, or None
-        One standard deviation of the worst band; NaN where nothing confirms the map, as outside the object's
-        outline. None where the record has none.
-    """
-    bands = record.get("bands", {}).values()
-    tables = (band["sigma"] for band in bands if isinstance(band, dict) and band.get("sigma"))
-    known = _largest([Sigma.from_dict(table) for table in tables])
-    if not known:
-        return None
-    x, y = np.meshgrid(*(np.arange(0.0, side, step) for side in size))
-    grid = from_dict(record["grid"].get("transform", record["grid"]))
-    places = grid(np.stack([x.ravel(), y.ravel()], 1))
-    worst = np.max([sigma(places) for sigma in known], axis=0)
-    worst[beyond_checks(record, places)] = np.nan
-    return np.asarray(worst.reshape(x.shape))
-
-
-def _largest(tables: Sequence[Sigma]) -> list[Sigma]:
-    """Return those tables that no other exceeds all over the same lattice: one interpolates to less than what exceeds it."""
-    found: list[Sigma] = []
-    for one in sorted(tables, key=lambda table: -float(table.values.sum())):
-        if not any(one.nowhere_exceeds(other) for other in found):
-            found.append(one)
-    return found
+    ends = [
+        records.pixels(frame if isinstance(frame, Frame) else parse_frame(frame))
+        for frame in (source, target)
+    ]
+    return FrameMap(*ends, records.reference())
 
 
 def map_points(
@@ -287,35 +298,17 @@ def map_points(
     return find_map(database, name, source, target)(points)
 
 
-def warn_of_turns(database: str | Path, name: str, frames: Iterable[str]) -> list[str]:
-    """Report of frames whose files viewers turn or mirror that their coordinates are those of the file as stored."""
-    layers = Records(database_of(database), name).layers
-    warnings = []
-    for layer in dict.fromkeys(parse_frame(frame).layer for frame in frames):
-        target = _load(layers[layer]).get("target") if layer in layers else None
-        turn = target.get("orientation") if isinstance(target, dict) else None
-        if turn in UPRIGHT:
-            warnings.append(
-                f"coordinates of {layer} are of its file as it is stored; viewers show that {describe_turn(turn)} "
-                f"(EXIF orientation {turn}), and their coordinates are others"
-            )
-    return warnings
-
-
 def map_table(
     database: str | Path, name: str, text: str, *, source: str, target: str, file: str | None = None
 ) -> str:
-    """Map a CSV table with the header ``x,y``; the answer has the same rows in the same order.
-
-    `file` is where the text was read from, for refusals; points that lie outside are ``nan,nan``.
+    """Map a CSV table with the header ``x,y``, read from `file`; rows in the same order, ``nan,nan`` for points that lie outside.
 
     Raises MappingRefused also where a row is not two numbers; all such rows are listed, at most ten.
     """
     points = read_points(text, file=file)
     mapped = map_points(database, name, points, source=source, target=target)
-    lines = ["x,y"]
-    lines += ["nan,nan" if np.isnan(x) else f"{x:.6f},{y:.6f}" for x, y in mapped]
-    return "\n".join(lines) + "\n"
+    rows = ("nan,nan" if np.isnan(x) else f"{x:.6f},{y:.6f}" for x, y in mapped)
+    return "\n".join(["x,y", *rows]) + "\n"
 
 
 def read_points(text: str, *, file: str | None = None) -> np.ndarray:
@@ -326,19 +319,17 @@ def read_points(text: str, *, file: str | None = None) -> np.ndarray:
     >>> read_points("x,y\\n1,2.5\\n").tolist()
     [[1.0, 2.5]]
     """
-    expected = "a CSV with the header x,y"
     try:
         rows = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline="")))
     except csv.Error as error:
-        raise MappingRefused(
-            Problem("E_UNREADABLE", "the points are not a table", file, None, str(error), expected)
-        ) from None
+        what, expected = "the points are not a table", "a CSV with the header x,y"
+        problem = Problem("E_UNREADABLE", what, file, None, str(error), expected)
+        raise MappingRefused(problem) from None
     head = [cell.strip().lower() for cell in rows[0]] if rows else []
     if "x" not in head or "y" not in head:
         found = ",".join(head)[:80] or "nothing"
-        raise MappingRefused(
-            Problem("E_KEY", "the points have no header", file, found=found, expected="x,y")
-        )
+        what = "the points have no header"
+        raise MappingRefused(Problem("E_KEY", what, file, found=found, expected="x,y"))
     columns, points, problems = (head.index("x"), head.index("y")), [], []
     for number, row in enumerate(rows[1:], start=2):
         if not any(cell.strip() for cell in row):
@@ -346,162 +337,81 @@ def read_points(text: str, *, file: str | None = None) -> np.ndarray:
         try:
             points.append([float(row[column]) for column in columns])
         except (ValueError, IndexError):
-            what = ",".join(row)[:80]
-            why = f"line {number} is not a point"
-            problems.append(Problem("E_VALUE", why, file, found=what, expected="two numbers"))
+            why, found = f"line {number} is not a point", ",".join(row)[:80]
+            problems.append(Problem("E_VALUE", why, file, found=found, expected="two numbers"))
     if problems:
         raise MappingRefused(*problems[:10])
     return np.array(points, float).reshape(-1, 2)
 
 
-class Records:
-    """The registration records of one object; those that were read already may be given by the names of their layers."""
-
-    def __init__(
-        self, database: Path, name: str, known: Mapping[str, dict[str, Any]] | None = None
-    ) -> None:
-        absent = None if is_remote(database) else missing_path(database)
-        if absent is not None:
-            raise MappingRefused(absent)
-        self.name = name
-        self.folder = database / "objects" / name / "registration"
-        if not is_plain_name(name) or unusable_name(name) or not self.folder.is_dir():
-            records = database.glob("objects/*/registration/*.json")
-            there = sorted({p.parent.parent.name for p in records})
-            raise MappingRefused(
-                Problem(
-                    "E_KEY",
-                    f"there is no registered object {name!r}",
-                    file=str(database),
-                    found=name,
-                    expected=", ".join(there) or "a database with registration records",
-                    fix=closest_match(name, there),
-                )
+def warn_of_turns(database: str | Path, name: str, frames: Iterable[str]) -> list[str]:
+    """Report of frames whose files viewers turn or mirror that their coordinates are those of the file as stored."""
+    records, warnings = Records(database_of(database), name), []
+    for layer in dict.fromkeys(parse_frame(frame).layer for frame in frames):
+        target = records.load(layer).get("target") if layer in records.layers else None
+        turn = target.get("orientation") if isinstance(target, dict) else None
+        if turn in UPRIGHT:
+            warnings.append(
+                f"coordinates of {layer} are of its file as it is stored; viewers show that {describe_turn(turn)} "
+                f"(EXIF orientation {turn}), and their coordinates are others"
             )
-        self.layers = {p.stem: p for p in sorted(self.folder.glob("*.json"))}
-        check_inside(database, *self.layers.values())
-        self._read = dict(known or {})
-
-    def _load(self, path: Path) -> dict[str, Any]:
-        if path.stem not in self._read:
-            self._read[path.stem] = _load(path)
-        return self._read[path.stem]
-
-    def pixels(self, frame: Frame) -> FramePixels:
-        """Return the maps and the size of one frame."""
-        if not frame.camera:
-            return self._grid()
-        entry = self.entry(frame)
-        return FramePixels(from_dict(entry.get("transform", entry)), _size(entry))
-
-    def entry(self, frame: Frame) -> dict[str, Any]:
-        """Return what a record says of one band."""
-        record = self._record(frame)
-        labels = list(record["bands"])
-        label = labels[find_band(labels, frame.band)] if frame.band else _reference_channel(record)
-        bands = self._tile(record, frame)["bands"] if frame.tile else record["bands"]
-        return dict(bands[label])
-
-    def tiles(self, frame: Frame) -> list[str]:
-        """Return the names of the tiles of a layer that were placed; none where it has no tiles."""
-        tiles = self._record(frame).get("tiles", {})
-        return [name for name, one in tiles.items() if one.get("bands")]
-
-    def _tile(self, record: dict[str, Any], frame: Frame) -> dict[str, Any]:
-        """Return what a record says of one tile."""
-        tiles = record.get("tiles", {})
-        placed = [name for name, one in tiles.items() if one.get("bands")]
-        if frame.tile in placed:
-            return dict(tiles[frame.tile])
-        left_out = tiles.get(frame.tile, {}).get("verdict", {}).get("reasons", [])
-        why = f"was left out: {' '.join(left_out)}" if frame.tile in tiles else "is not there"
-        raise MappingRefused(
-            Problem(
-                "E_KEY",
-                f"tile {frame.tile} of {frame.layer} {why}",
-                file=str(self.layers[frame.layer]),
-                found=str(frame),
-                expected=", ".join(placed) or f"{frame.layer}, which has no tiles",
-                fix=closest_match(frame.tile, placed),
-            )
-        )
-
-    def reference(self) -> FramePixels:
-        """Return the reference frame itself, with its size where that is known."""
-        for path in self.layers.values():
-            frame = _frame(self._load(path).get("reference"))
-            if frame.layer in self.layers:
-                entry = self._load(self.layers[frame.layer]).get("bands", {}).get(frame.band, {})
-                return FramePixels(Affine.identity(), _size(entry))
-        return FramePixels(Affine.identity())
-
-    def _grid(self) -> FramePixels:
-        for path in self.layers.values():
-            if grid := self._load(path).get("grid"):
-                return FramePixels(Inverse(from_dict(grid.get("transform", grid))), _size(grid))
-        raise MappingRefused(
-            Problem(
-                "E_KEY", f"no record of {self.name} describes the grid", str(self.folder), "grid"
-            )
-        )
-
-    def _record(self, frame: Frame) -> dict[str, Any]:
-        if frame.layer not in self.layers:
-            raise MappingRefused(
-                Problem(
-                    "E_KEY",
-                    f"{self.name} has no frame {frame}",
-                    file=str(self.folder),
-                    found=str(frame),
-                    expected=", ".join([GRID, *self.layers]),
-                    fix=closest_match(frame.layer, [GRID, *self.layers]),
-                )
-            )
-        record = self._load(self.layers[frame.layer])
-        verdict = record.get("verdict", {})
-        if verdict.get("decision") == "refuse" or not record.get("bands"):
-            raise MappingRefused(
-                Problem(
-                    "E_VERDICT",
-                    f"the registration of {frame.layer} was refused: "
-                    + ("; ".join(verdict.get("reasons", [])) or "no reason is recorded"),
-                    file=str(self.layers[frame.layer]),
-                    fix=verdict.get("next_step") or None,
-                )
-            )
-        return record
+    return warnings
 
 
-def _reference_channel(record: dict[str, Any]) -> str:
-    label = _frame(record.get("target")).band
-    if label in record["bands"]:
-        return label
-    raise MappingRefused(
-        Problem(
-            "E_KEY",
-            "the record does not name the camera's reference channel",
-            field="target",
-            found=str(record.get("target")),
-            expected=", ".join(record["bands"]),
-            fix="Name a band: CAMERA:BAND.",
-        )
-    )
+def find_position_sigma(
+    database: str | Path, name: str, camera: str, setup: str = "", band: str | None = None
+) -> np.ndarray | None:
+    """Return how well the position of a band (default: the reference channel) is known at every pixel of the grid, float32.
+
+    One standard deviation of either axis, reference px; NaN where the band does not see the object; None where the record has
+    none. Raises MappingRefused.
+    """
+    records, frame = Records(database_of(database), name), Frame(camera, setup, band or "")
+    grid = records.pixels(Frame())
+    if "sigma" not in records.entry(frame) or grid.size is None:
+        return None
+    width, height = (round(n) for n in grid.size)
+    check_memory(records.folder, width * height * 2, 8)
+    places = _lattice(width, height)
+    return position_sigma_at(records, frame, places).reshape(height, width)
 
 
-def _frame(value: Any) -> Frame:
-    """Read a frame that a record names, as text or in its parts."""
-    if isinstance(value, dict):
-        return Frame(*(str(value.get(key) or "") for key in ("camera", "setup", "band")))
-    return parse_frame(value) if value else Frame()
+def _lattice(width: int, height: int, step: int = 1) -> np.ndarray:
+    """Return every `step`-th pixel of a grid, row by row, (n, 2)."""
+    x, y = np.meshgrid(*(np.arange(0.0, side, step) for side in (width, height)))
+    return np.stack([x.ravel(), y.ravel()], 1)
 
 
-def _size(entry: dict[str, Any]) -> tuple[float, float] | None:
-    size = entry.get("size")
-    return None if size is None else (float(size[0]), float(size[1]))
+def position_sigma_at(records: Records, frame: Frame, points: np.ndarray) -> np.ndarray:
+    """Return how well the position of a band is known at (n, 2) px of the grid, reference px; NaN where it is outside or unknown."""
+    grid, entry = records.pixels(Frame()), records.entry(frame)
+    values = np.full(len(points), np.nan, np.float32)
+    if "sigma" in entry:
+        seen = FrameMap(grid, records.pixels(frame), records.reference())(points)
+        inside = np.isfinite(seen).all(1)
+        places = grid.from_reference.inverse(points[inside])
+        values[inside] = Sigma.from_dict(entry["sigma"])(places)
+    return values
 
 
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        return read_registration(path)
-    except RecordRefused as refused:
-        raise MappingRefused(*refused.problems) from None
+def predict_error(
+    record: Mapping[str, Any], size: tuple[int, int], step: int = 1
+) -> np.ndarray | None:
+    """Return the error of a layer's registration over its grid of `size` (width, height) as its own evidence predicts it.
+
+    Of every `step`-th pixel, (rows, columns), one standard deviation of the worst band, reference px; NaN where nothing
+    confirms the map, as outside the object's outline. None where the record has none.
+    """
+    bands = record.get("bands", {}).values()
+    known = [Sigma.from_dict(b["sigma"]) for b in bands if isinstance(b, dict) and b.get("sigma")]
+    if not known:
+        return None
+    largest: list[Sigma] = []  # of those that no other exceeds all over the same lattice
+    for one in sorted(known, key=lambda table: -float(table.values.sum())):
+        if not any(one.nowhere_exceeds(other) for other in largest):
+            largest.append(one)
+    grid = from_dict(record["grid"].get("transform", record["grid"]))
+    places = grid(_lattice(*size, step))
+    worst = np.max([sigma(places) for sigma in largest], axis=0)
+    worst[beyond_checks(record, places)] = np.nan
+    return np.asarray(worst.reshape(-1, len(range(0, size[0], step))))

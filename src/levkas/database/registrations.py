@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from levkas.campaign.schema.toml import to_inline_toml
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import counted, read_json
 from levkas.database.containment import check_inside, check_plain_names
@@ -23,28 +22,6 @@ from levkas.registration.foreground import contains
 from levkas.registration.record import Sigma, decided
 from levkas.registration.window_matching import CheckWindows
 
-if TYPE_CHECKING:
-    from levkas.campaign.discovery.captures import Capture
-    from levkas.campaign.edits import Edits
-
-KINDS: dict[str, tuple[type, ...]] = {
-    "object": (str,),
-    "camera": (str,),
-    "setup": (str,),
-    "method": (str,),
-    "reference": (dict, str),
-    "target": (dict, str),
-    "grid": (dict,),
-    "verdict": (dict,),
-    "model": (dict,),
-    "trace": (dict,),
-    "bands": (dict,),
-    "errors": (dict,),
-    "pairs_by_hand": (int,),
-    "tiles": (dict,),
-    "placement": (dict,),
-}
-"""What the parts of a record are, where they are there."""
 WHOLE = ("object", "camera", "reference", "verdict")
 """Parts of every record that a build writes."""
 MOST_PX = 1 << 20
@@ -52,6 +29,11 @@ MOST_PX = 1 << 20
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 WRONG = (ValueError, KeyError, TypeError, IndexError, AttributeError, ArithmeticError, MemoryError)
 """What numpy and `levkas.geometry.transforms` raise on numbers that are not those of a transform."""
+Check = tuple[tuple[type, ...], Callable[[Any], object]]
+"""Kinds that a part may be of, and what raises one of `WRONG` where it is wrong."""
+MOST_UNLIKE = 1.03
+"""Ratio of the scales of an object's two sides, px by mm, up to which its outline and its size are of one thing. A panel is
+rectangular, and its size right, within 1 %; what was cut off, or a frame or chart beside it, makes more."""
 
 
 class RecordRefused(Refused):
@@ -59,12 +41,7 @@ class RecordRefused(Refused):
 
 
 def read_registration(path: Path, *, needed: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Read the record of one layer.
-
-    Parameters
-    ----------
-    needed : tuple of str
-        Parts that must be there; all others may be absent.
+    """Read the record of one layer, of which the `needed` parts must be there.
 
     Raises RecordRefused where it cannot be read, or a part of it is of another kind than a registration writes.
     """
@@ -72,21 +49,19 @@ def read_registration(path: Path, *, needed: tuple[str, ...] = ()) -> dict[str, 
         record = read_json(path)
     except Refused as refused:
         raise RecordRefused(*refused.problems) from None
-    place = "the record"
+    field = ""
     try:
-        for place, part in _parts(record, needed):
-            _check(place, part)
+        for field, (kinds, check), part in _parts(record):
+            if part is not None or field in needed:
+                if not isinstance(part, kinds):
+                    raise TypeError("it is missing or of another kind")
+                check(part)
     except WRONG as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
+        what, fix = f"{path.name} is not a registration record: {reason}", "Copy the file again."
+        expected = "a record as a build writes it"
         raise RecordRefused(
-            Problem(
-                "E_VALUE",
-                f"{path.name} is not a registration record: {reason}",
-                str(path),
-                field=place,
-                expected="a record as a build writes it",
-                fix="Copy the file again, or build the database again.",
-            )
+            Problem("E_VALUE", what, str(path), field, None, expected, fix)
         ) from error
     return record
 
@@ -94,16 +69,91 @@ def read_registration(path: Path, *, needed: tuple[str, ...] = ()) -> dict[str, 
 def read_registrations(database: Path, name: str = "*") -> Iterator[tuple[Path, dict[str, Any]]]:
     """Yield (path, record) of every layer of a database, or of one object, in order.
 
-    Raises
-    ------
-    RecordRefused
-        Also where a part is missing that a build writes.
-    LinkRefused
-        Where a record is a link that leads out of the database.
+    Raises RecordRefused also where a part is missing that a build writes, LinkRefused where a record is a link that leads out.
     """
     for path in sorted(database.glob(f"objects/{name}/registration/*.json")):
         check_inside(database, path)
         yield path, read_registration(path, needed=WHOLE)
+
+
+def _parts(record: dict[str, Any]) -> Iterator[tuple[str, Check, Any]]:
+    """Yield (field, how it is checked, part)."""
+    yield from ((key, check, record.get(key)) for key, check in CHECKS.items())
+    for tile, part in {"": record, **(record.get("tiles") or {})}.items():
+        yield f"verdict {tile}", CHECKS["verdict"], part.get("verdict")
+        for label, band in (part.get("bands") or {}).items():
+            yield f"bands: {tile} {label}", CHECKS["grid"], band
+
+
+def _check_name(part: Any) -> None:
+    check_plain_names(part or "-")
+
+
+def _check_frame(part: Any) -> None:
+    if isinstance(part, str):
+        return
+    names = [part.get(key) or "" for key in ("camera", "setup", "band")]
+    if not all(isinstance(name, str) for name in names):
+        raise TypeError("camera, setup or band is not text")
+    check_plain_names(names[0] or "-", names[1] or "-")
+    _check_size(part.get("size"))
+
+
+def _check_verdict(part: Any) -> None:
+    if not isinstance(part.get("decision", ""), str) or not isinstance(
+        part.get("reasons", []), list
+    ):
+        raise TypeError("it is not text")
+    if any(len(cell) != 4 for cell in unconfirmed_cells({"verdict": part})):
+        raise TypeError("a cell is not a rectangle")
+    describe_pairs({"verdict": part})
+    decided(part)
+
+
+def _check_errors(part: Any) -> None:
+    for one in part.get("check_points") or []:
+        float(one["error"] or 0), str(one["band"])
+    shares_light({"errors": part}, ())
+
+
+def _check_map(part: Any) -> None:
+    """Map a point: an array of another form is found by that, wherever it stands."""
+    _check_size(part.get("size"))
+    float(part.get("px_per_mm") or 0)
+    if "transform" in part or "kind" in part:
+        with np.errstate(all="ignore"):
+            mapped = from_dict(part.get("transform", part))(np.array([[1.0, 2.0]]))
+        if np.shape(mapped) != (1, 2):
+            raise ValueError("a transform does not map points to points")
+    if part.get("sigma") is not None:
+        Sigma.from_dict(part["sigma"])(np.zeros((1, 2)))
+
+
+def _check_size(size: Any) -> None:
+    if size is not None and not (
+        len(size) == 2 and all(isfinite(n) and 0 < n <= MOST_PX for n in size)
+    ):
+        raise ValueError("a size is not two numbers of pixels")
+
+
+CHECKS: dict[str, Check] = {
+    "object": ((str,), _check_name),
+    "camera": ((str,), _check_name),
+    "setup": ((str,), _check_name),
+    "method": ((str,), str),
+    "reference": ((dict, str), _check_frame),
+    "target": ((dict, str), _check_frame),
+    "grid": ((dict,), _check_map),
+    "verdict": ((dict,), _check_verdict),
+    "model": ((dict,), lambda part: object_outline({"model": part})),
+    "trace": ((dict,), lambda part: beyond_checks({"trace": part}, np.zeros((1, 2)))),
+    "bands": ((dict,), dict),
+    "errors": ((dict,), _check_errors),
+    "pairs_by_hand": ((int,), int),
+    "tiles": ((dict,), dict),
+    "placement": ((dict,), dict),
+}
+"""How the parts of a record are checked, where they are there."""
 
 
 def describe_pairs(record: Mapping[str, Any]) -> str:
@@ -120,9 +170,7 @@ def describe_pairs(record: Mapping[str, Any]) -> str:
     if placed:
         return describe_placement(max(placed, key=lambda one: one["fit_px"] or 0.0))
     count = record.get("pairs_by_hand", 0)
-    if not count:
-        return ""
-    return f"aligned with {counted(count, 'pair')} by hand"
+    return f"aligned with {counted(count, 'pair')} by hand" if count else ""
 
 
 def digest_of_map(record: Mapping[str, Any]) -> str:
@@ -135,11 +183,10 @@ def digest_of_map(record: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def apply_confirmation(record: Mapping[str, Any], edits: Edits, capture: Capture) -> dict[str, Any]:
-    """Return the verdict of a record with a person's word on it: a doubtful layer is accepted while it has the map that was looked at."""
+def apply_confirmation(record: Mapping[str, Any], word: Any) -> dict[str, Any]:
+    """Return the verdict of a record with a person's word on it, as edits hold it, or None: a doubtful layer is accepted while it has the map that was looked at."""
     verdict = dict(record["verdict"])
     verdict |= verdict.pop("confirmed", {}).get("program", {})
-    word = edits.confirmed.get((capture.object, capture.layer))
     lapsed = word is not None and word.map != digest_of_map(record)
     if word is None or verdict["decision"] not in ("warn", *(["refuse"] if lapsed else [])):
         return verdict
@@ -159,27 +206,23 @@ def describe_lying(record: Mapping[str, Any]) -> list[str]:
     orientation = (record.get("target") or {}).get("orientation")
     if orientation is None or record["camera"] != record["reference"]["camera"] or record["setup"]:
         return []
-    slope = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
+    slope = _slope(record["grid"])
     if np.diag(slope).min() <= 0 or abs(slope[0, 1]) > 0.1 * slope[0, 0]:
         return []  # a person turned it, this way or another
-    keys = ", ".join(f"{k} = {to_inline_toml(v)}" for k, v in grid_keys(orientation).items())
+    keys = ", ".join(f"{k} = {json.dumps(v)}" for k, v in grid_keys(orientation).items())
     return [
         f"viewers show this file {describe_turn(orientation)} (EXIF orientation {orientation}), and the grid is not turned: "
         f"the object does not stand upright in layers and report. Write {keys} under [grid], and build again."
     ]
 
 
-def unchecked_share(record: Mapping[str, Any]) -> float:
-    """Return the share of a layer, 0 … 1, where nothing confirms its map; 0 where a record has none."""
-    return _share(record, "unchecked")
+def _slope(grid: Mapping[str, Any]) -> np.ndarray:
+    """Reference px a pixel of the grid, (2, 2)."""
+    return np.asarray(from_dict(grid["transform"]).jacobian(np.zeros((1, 2)))[0])
 
 
-def outside_share(record: Mapping[str, Any]) -> float:
-    """Return the part of `unchecked_share` that lies outside the object's outline."""
-    return _share(record, "outside")
-
-
-def _share(record: Mapping[str, Any], key: str) -> float:
+def unchecked_share(record: Mapping[str, Any], key: str = "unchecked") -> float:
+    """Return the share of a layer, 0 … 1, where nothing confirms its map; 0 where a record has none. ``"outside"``: the part outside the object's outline."""
     share = (record.get("verdict") or {}).get(key)
     if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
         return 0.0
@@ -188,12 +231,11 @@ def _share(record: Mapping[str, Any], key: str) -> float:
 
 def unchecked_mm2(record: Mapping[str, Any]) -> float | None:
     """Return the same as an area, mm²; None where the sampling is not known."""
-    scale = mm_per_px(record)
-    if scale is None:
+    px_per_mm = record["grid"].get("px_per_mm")
+    if not px_per_mm:
         return None
     width, height = record["grid"]["size"]
-    step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
-    return float(unchecked_share(record) * width * height * abs(np.linalg.det(step)) * scale**2)
+    return float(unchecked_share(record) * width * height / px_per_mm**2)
 
 
 def mm_per_px(record: Mapping[str, Any]) -> float | None:
@@ -201,13 +243,7 @@ def mm_per_px(record: Mapping[str, Any]) -> float | None:
     px_per_mm = record["grid"].get("px_per_mm")
     if not px_per_mm:
         return None
-    step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
-    return float(1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5))
-
-
-MOST_UNLIKE = 1.03
-"""Ratio of the scales of an object's two sides, px by mm, up to which its outline and its size are of one thing. A panel is
-rectangular, and its size right, within 1 %; what was cut off, or a frame or chart beside it, makes more."""
+    return float(1 / (px_per_mm * abs(np.linalg.det(_slope(record["grid"]))) ** 0.5))
 
 
 def with_size(record: Mapping[str, Any], size_mm: Sequence[float] | None) -> dict[str, Any]:
@@ -228,8 +264,7 @@ def with_size(record: Mapping[str, Any], size_mm: Sequence[float] | None) -> dic
     if size_mm and grid["object_px"]:
         scales = np.sort(grid["object_px"]) / np.sort(size_mm)
         if 0 < scales.max() <= MOST_UNLIKE * scales.min():
-            step = from_dict(grid["transform"]).jacobian(np.zeros((1, 2)))[0]
-            sampling = float(np.sqrt(scales.prod() / abs(np.linalg.det(step))))
+            sampling = float(np.sqrt(scales.prod() / abs(np.linalg.det(_slope(grid)))))
     size = None if size_mm is None else list(size_mm)
     return {**record, "grid": {**grid, "size_mm": size, "px_per_mm": sampling}}
 
@@ -244,18 +279,23 @@ def describe_size(record: Mapping[str, Any]) -> list[str]:
     if sides:
         shape = f"{sides[0]:.0f} x {sides[1]:.0f} px"
         why = f"its outline, {shape}, has not the shape of {width:g} x {height:g} mm"
+    name = json.dumps(record["object"], ensure_ascii=False)
     return [
         f"lengths in mm are not known: {why}. Draw the outline of what size_mm is of in the workbench, or write "
-        f"outline = [[x, y], …], px of the reference band, under [objects.{to_inline_toml(record['object'])}]. Then build again."
+        f"outline = [[x, y], …], px of the reference band, under [objects.{name}]. Then build again."
     ]
 
 
 def unconfirmed_cells(record: Mapping[str, Any]) -> list[list[float]]:
     """Return the cells, (x, y, width, height) in reference px, where nothing confirms a layer's map, or it is off."""
     numbers = record.get("verdict", {}).get("numbers") or {}
-    sensors = (n for n in numbers.values() if isinstance(n, dict))
-    cells = (cell for n in sensors for key in ("unsupported", "off") for cell in n.get(key) or ())
-    return [[float(value) for value in cell[:4]] for cell in cells]
+    sensors = [n for n in numbers.values() if isinstance(n, dict)]
+    return [
+        [float(value) for value in cell[:4]]
+        for part in (*sensors, *(n.get("verification") or {} for n in sensors))  # older records
+        for key in ("unsupported", "off")
+        for cell in part.get(key) or ()
+    ]
 
 
 def object_outline(record: Mapping[str, Any]) -> np.ndarray:
@@ -287,71 +327,3 @@ def shares_light(record: Mapping[str, Any], wavelengths: Iterable[float]) -> boo
     sensors = (record.get("errors") or {}).get("sensors") or {}
     judged = [sensor["alike"] for sensor in sensors.values() if "alike" in sensor]
     return any(known) or (any(judged) if judged else len(known) >= 3)
-
-
-def _parts(record: dict[str, Any], needed: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
-    """Yield (place, part) of all that is checked; raises ValueError where one is of another kind."""
-    for key in needed:
-        if record.get(key) is None:
-            yield key, None
-    for key, kinds in KINDS.items():
-        part = record.get(key)
-        if part is not None:
-            yield key, part if isinstance(part, kinds) else None
-    for label, band in (record.get("bands") or {}).items():
-        yield f"bands: {label}", band if isinstance(band, dict) else None
-    for tile, one in (record.get("tiles") or {}).items():
-        yield "verdict", one["verdict"]
-        for label, band in one.get("bands", {}).items():
-            yield f"bands: {tile} {label}", band if isinstance(band, dict) else None
-
-
-def _check(place: str, part: Any) -> None:
-    if part is None:
-        raise ValueError("a part is missing or of another kind")
-    if place in ("object", "camera", "setup"):
-        check_plain_names(part or "-")
-    elif place == "verdict":
-        decision, reasons = part.get("decision", ""), part.get("reasons", [])
-        if not isinstance(decision, str) or not isinstance(reasons, list):
-            raise TypeError("the verdict is not text")
-        if any(len(cell) != 4 for cell in unconfirmed_cells({"verdict": part})):
-            raise TypeError("a cell of the verdict is not a rectangle")
-        describe_pairs({"verdict": part})
-        decided(part)
-    elif place in ("reference", "target") and isinstance(part, dict):
-        for key in ("camera", "setup", "band"):
-            if not isinstance(part.get(key) or "", str):
-                raise TypeError(f"{key} is not text")
-        check_plain_names(part.get("camera") or "-", part.get("setup") or "-")
-        _check_size(part.get("size"))
-    elif place == "model":
-        object_outline({"model": part})
-    elif place == "trace":
-        beyond_checks({"trace": part}, np.zeros((1, 2)))
-    elif place == "errors":
-        for one in part.get("check_points") or []:
-            float(one["error"] or 0), str(one["band"])
-        shares_light({"errors": part}, ())
-    elif place == "grid" or place.startswith("bands: "):
-        _check_size(part.get("size"))
-        float(part.get("px_per_mm") or 0)
-        if "transform" in part or "kind" in part:
-            _check_transform(part.get("transform", part))
-        if part.get("sigma") is not None:
-            Sigma.from_dict(part["sigma"])(np.zeros((1, 2)))
-
-
-def _check_size(size: Any) -> None:
-    if size is not None and not (
-        len(size) == 2 and all(isfinite(n) and 0 < n <= MOST_PX for n in size)
-    ):
-        raise ValueError("a size is not two numbers of pixels")
-
-
-def _check_transform(record: dict[str, Any]) -> None:
-    """Map a point: an array of another form is found by that, wherever it stands."""
-    with np.errstate(all="ignore"):
-        mapped = from_dict(record)(np.array([[1.0, 2.0]]))
-    if np.shape(mapped) != (1, 2):
-        raise ValueError("a transform does not map points to points")

@@ -35,7 +35,6 @@ from levkas.core.files import remove, together
 from levkas.core.problems import Problem, Refused, gathered
 from levkas.core.threads import each, in_threads
 from levkas.core.transpose import transpose
-from levkas.database.credits import credits_of
 from levkas.database.registrations import read_registration
 from levkas.readers.frames import UnreadableCapture, read_facts
 from levkas.stages.above_white import count_above, describe_above, require_light
@@ -66,7 +65,7 @@ from levkas.stages.native_files import filed_parts, part_name, require_memory, w
 from levkas.stages.parts import CalibratedCapture, Part, Placement, median_focus
 from levkas.stages.scans import develop_scan, is_streamed, open_scan
 from levkas.stages.shared_noise import Mosaic
-from levkas.stages.spectra import board_of, broad_centroids
+from levkas.stages.spectra import board_of, broad_centroids, credits_of
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:

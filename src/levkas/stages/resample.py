@@ -13,7 +13,6 @@ from levkas.calibration.sensor_context import placing
 from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.disk import require_space
 from levkas.core.rounding import STEP_PER_SIGMA
-from levkas.database.credits import credits_of
 from levkas.database.grey import read_grey
 from levkas.database.layers import Layer, write_layer
 from levkas.database.preview import encode_png
@@ -26,7 +25,7 @@ from levkas.stages.capture_statistics import DefaultLayer, LayerStatistics, desc
 from levkas.stages.native_files import least_bytes
 from levkas.stages.parts import GridRows, Placement, noise_correlation, on_grid, stacked
 from levkas.stages.reference import maps_on_grid
-from levkas.stages.spectra import broad_centroids
+from levkas.stages.spectra import broad_centroids, credits_of
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:

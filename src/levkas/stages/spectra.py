@@ -10,6 +10,7 @@ import numpy as np
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import TextRefused, read_text
+from levkas.database.credits import Credits
 from levkas.readers.spectra import are_spectra, parse_spectra
 
 if TYPE_CHECKING:
@@ -388,3 +389,14 @@ def read_table(path: Path, columns: int = 2) -> np.ndarray:
             )
         )
     return table
+
+
+def credits_of(campaign: Campaign, name: str, captured: str) -> Credits:
+    """Return the credits of an object's files; `captured` is the date that its frames say, or empty."""
+    facts, described = campaign.objects.get(name), campaign.campaign
+    return Credits(
+        title=(facts.title if facts else "") or name,
+        creator=described.creator,
+        date=captured or described.date or "",
+        rights=(facts.rights if facts else "") or described.licence,
+    )

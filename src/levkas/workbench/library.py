@@ -225,7 +225,11 @@ class Library:
     def _judged(self, capture: Capture, edits: Edits) -> dict[str, Any]:
         """Return the record of a layer with what a person says of it; empty where it was not built."""
         record = self._record(capture)
-        return record and record | {"verdict": apply_confirmation(record, edits, capture)}
+        return record and record | {
+            "verdict": apply_confirmation(
+                record, edits.confirmed.get((capture.object, capture.layer))
+            )
+        }
 
     def list(self) -> list[dict[str, Any]]:
         """Return every camera, or tile of one, with the verdict of its last build, JSON-ready."""
