@@ -7,15 +7,13 @@ it; what only Levkas reads (sizes, and a hash of the manifest itself) is in comm
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import re
 import unicodedata
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 from levkas.core.digests import hash_file
 from levkas.core.files import DROPPINGS, PARTIAL, write_changed
@@ -25,14 +23,10 @@ from levkas.core.text import DEEPEST
 from levkas.database.containment import stays_inside
 
 NAME = "manifest-sha256.txt"
-LARGEST_REMOTE = 256 << 20
-"""Bytes of a manifest on a server, whose size is the server's choice: two million files."""
-LONGEST_LINE = 1 << 16
-"""Bytes; the longest path of Linux has 4096, and each may be three letters in a manifest."""
-
+LARGEST = 256 << 20
+"""Bytes of a manifest, whose size on a server is the server's choice: two million files."""
 _HEAD = re.compile(r"# levkas manifest 1: (\d+) files, (\d+) bytes, sha256 ([0-9a-f]{64}) below")
-_SIZE = re.compile(r"# (\d+) bytes")
-_LINE = re.compile(r"([0-9a-fA-F]{64}) [ *](.+)")
+_LINES = re.compile(r"# (\d+) bytes\n([0-9a-f]{64})  (.+)\n")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,22 +35,12 @@ class Listed:
 
     name: str
     sha256: str
-    size: int | None = None
+    size: int
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a database should consist of.
-
-    Parameters
-    ----------
-    files : dict
-        Relative path with ``/`` → `Listed`.
-    bytes : int
-        Of all files together.
-    problems : tuple of Problem
-        What is wrong with the manifest itself; empty where it is whole.
-    """
+    """What a database should consist of: relative paths with ``/`` and their files, the `bytes` of all, and what is wrong with the manifest itself."""
 
     path: Path
     files: dict[str, Listed]
@@ -67,22 +51,10 @@ class Manifest:
 def write_manifest(
     database: str | Path, known: Mapping[str, str] | None = None, *, threads: int | None = None
 ) -> Manifest:
-    """Write the manifest of a database that is otherwise finished.
+    """Write the manifest of a database that is otherwise finished; an unchanged one is not written anew.
 
-    Parameters
-    ----------
-    known : mapping, optional
-        Relative path with ``/`` → SHA-256, of files that were hashed when they were written: they
-        are not read again, and damage since then will be found.
-    threads : int, optional
-        For hashing; the manifest is the same for any number.
-
-    Returns
-    -------
-    manifest : Manifest
-        With the number and the size of the files. An unchanged one is not written anew.
-
-    Raises WriteRefused where the disk refuses.
+    `known`, relative path → SHA-256, are files that were hashed when they were written: they are not read again, and damage
+    since then will be found. The manifest is the same for any number of `threads`. Raises WriteRefused.
     """
     root, known = Path(database), known or {}
     names = [name for name in list_files(root) if name != NAME and not is_partial(name)]
@@ -96,79 +68,59 @@ def write_manifest(
 
     with ThreadPoolExecutor(threads or count_threads(2)) as pool:
         files = {entry.name: entry for entry in pool.map(listed, names) if entry is not None}
-    total = sum(entry.size or 0 for entry in files.values())
-    data = _to_bytes(files, total)
-    path = root / NAME
-    write_changed(path, data)
-    return Manifest(path, files, total)
+    total = sum(entry.size for entry in files.values())
+    write_changed(root / NAME, _to_bytes(files, total))
+    return Manifest(root / NAME, files, total)
 
 
 def read_manifest(path: str | Path) -> Manifest:
-    """Read a manifest; damage in it is returned, never raised, and nothing of a damaged one is.
-
-    It is read line by line; its files, and no second copy of its text, are in memory.
-    """
-    path = Path(path) if isinstance(path, str) else path
+    """Read a manifest; damage in it is returned, never raised, and nothing of a damaged one is."""
+    path, files = Path(path) if isinstance(path, str) else path, dict[str, Listed]()
     try:
-        size = path.stat().st_size
-        if not isinstance(path, Path) and size > LARGEST_REMOTE:
-            return _damaged(path, f"it has {size:,} bytes; on a server at most {LARGEST_REMOTE:,}")
-        if isinstance(path, Path):
-            with path.open("rb") as file:
-                return _read(path, file)
-        return _read(path, io.BytesIO(path.read_bytes()))
+        if (size := path.stat().st_size) > LARGEST:
+            return _damaged(path, f"it has {size:,} bytes; at most {LARGEST:,} are read")
+        head, _, body = path.read_bytes().partition(b"\n")
     except OSError as error:
         return _damaged(path, f"it cannot be read: {error}")
-
-
-def _read(path: Path, file: BinaryIO) -> Manifest:
-    """Read an open manifest, and compare its lines with its head."""
-    lines = iter(lambda: file.readline(LONGEST_LINE), b"")
-    head = next(lines, b"").removesuffix(b"\n").decode("ascii", "replace")
-    stated = _HEAD.fullmatch(head)
+    stated = _HEAD.fullmatch(head.decode("ascii", "replace"))
     if stated is None:
         return _damaged(path, "its first line is not that of a build")
-    digest = hashlib.sha256()
-    manifest = _parse(path, _hashing(lines, digest))
-    if digest.hexdigest() != stated.group(3):
+    if hashlib.sha256(body).hexdigest() != stated[3]:
         return _damaged(path, "its lines have changed")
-    if (len(manifest.files), manifest.bytes) != (int(stated.group(1)), int(stated.group(2))):
+    for found in _LINES.finditer(body.decode("utf-8", "surrogateescape")):
+        name = re.sub("%(0A|0D|25)", lambda code: chr(int(code[1], 16)), found[3])
+        if not stays_inside(name):
+            return _damaged(path, f"{name!r} is not a file of the database")
+        files[name] = Listed(name, found[2], int(found[1]))
+    total = sum(entry.size for entry in files.values())
+    if (len(files), total) != (int(stated[1]), int(stated[2])):
         return _damaged(path, "its totals of files and bytes differ from its lines")
-    return manifest
+    return Manifest(path, files, total)
 
 
-def _hashing(lines: Iterable[bytes], digest: hashlib._Hash) -> Iterator[bytes]:
-    """Yield lines, and hash them."""
-    for line in lines:
-        digest.update(line)
-        yield line
+def _to_bytes(files: Mapping[str, Listed], total: int) -> bytes:
+    body = bytearray()
+    for name in sorted(files):
+        coded = name.replace("%", "%25").replace("\n", "%0A").replace("\r", "%0D")
+        line = f"# {files[name].size} bytes\n{files[name].sha256}  {coded}\n"
+        body += line.encode("utf-8", "surrogateescape")
+    digest = hashlib.sha256(body).hexdigest()
+    head = f"# levkas manifest 1: {len(files)} files, {total} bytes, sha256 {digest} below\n"
+    return head.encode("ascii") + body
 
 
-def list_files(folder: str | Path) -> list[str]:
+def _damaged(path: Path, why: str) -> Manifest:
+    what, fix = f"the manifest is damaged: {why}", "Copy it again, or build the database again."
+    return Manifest(path, {}, problems=(Problem("E_DAMAGED", what, str(path), fix=fix),))
+
+
+def list_files(folder: Path) -> list[str]:
     """Return the files below `folder`, relative with ``/``, sorted by code point; links to folders too.
 
     What file browsers and viewers leave behind (`core.files.DROPPINGS`) is left out. A folder deeper than `DEEPEST` is listed like a file.
-    One on a server is listed as that does it, or as its manifest does.
+    One on a server is listed by its manifest.
     """
-    if not isinstance(folder, str | Path):
-        return sorted(folder.names())
-    return sorted(walk_files(Path(folder)))
-
-
-def is_partial(name: str) -> bool:
-    """Whether a file, or a folder above it, bears a name that only unfinished ones bear."""
-    return any(PARTIAL.fullmatch(part) for part in name.split("/"))
-
-
-def unfinished(path: Path) -> Problem:
-    """Return the problem of a file that an interrupted build left behind."""
-    fix = "An interrupted build left it; the next build removes it."
-    return Problem("E_EXTRA", "a file that was never finished", str(path), fix=fix)
-
-
-def plain(name: str) -> str:
-    """Return a name as it is compared: some file systems hand accents back in another spelling."""
-    return unicodedata.normalize("NFC", name)
+    return sorted(walk_files(folder) if isinstance(folder, Path) else folder.names())
 
 
 def walk_files(root: Path) -> Iterator[str]:
@@ -184,54 +136,11 @@ def walk_files(root: Path) -> Iterator[str]:
                 yield f"{above}/{name}" if above else name
 
 
-def _to_bytes(files: Mapping[str, Listed], total: int) -> bytes:
-    body = bytearray()
-    for name in sorted(files):
-        line = f"# {files[name].size} bytes\n{files[name].sha256}  {_encode(name)}\n"
-        body += line.encode("utf-8", "surrogateescape")
-    digest = hashlib.sha256(body).hexdigest()
-    head = f"# levkas manifest 1: {len(files)} files, {total} bytes, sha256 {digest} below\n"
-    return head.encode("ascii") + body
+def is_partial(name: str) -> bool:
+    """Whether a file, or a folder above it, bears a name that only unfinished ones bear."""
+    return any(PARTIAL.fullmatch(part) for part in name.split("/"))
 
 
-def _parse(path: Path, lines: Iterable[bytes]) -> Manifest:
-    """Read the lines; those that cannot be are counted as one problem."""
-    files: dict[str, Listed] = {}
-    size: int | None = None
-    wrong = first = 0
-    for number, line in enumerate(lines, 1):
-        text = line.decode("utf-8", "surrogateescape").removesuffix("\n").rstrip("\r")
-        if stated := _SIZE.fullmatch(text):
-            size = int(stated.group(1))
-            continue
-        found = _LINE.fullmatch(text)
-        name = _decode(found.group(2)) if found else ""
-        if found and name not in files and stays_inside(name):
-            files[name] = Listed(name, found.group(1).lower(), size)
-        elif text.strip():
-            wrong, first = wrong + 1, first or number
-        size = None
-    total = sum(entry.size or 0 for entry in files.values())
-    manifest = Manifest(path, files, total)
-    if wrong:
-        return _damaged(path, f"{wrong} lines cannot be read, the first is {first}")
-    return manifest
-
-
-def _encode(name: str) -> str:
-    return name.replace("%", "%25").replace("\n", "%0A").replace("\r", "%0D")
-
-
-def _decode(name: str) -> str:
-    name = re.sub("%0a", "\n", re.sub("%0d", "\r", name, flags=re.I), flags=re.I)
-    return name.removeprefix("./").replace("%25", "%")
-
-
-def _damaged(path: Path, why: str) -> Manifest:
-    problem = Problem(
-        "E_DAMAGED",
-        f"the manifest is damaged: {why}",
-        file=str(path),
-        fix="Copy it again, or build the database again to write it.",
-    )
-    return Manifest(path, {}, problems=(problem,))
+def plain(name: str) -> str:
+    """Return a name as it is compared: some file systems hand accents back in another spelling."""
+    return unicodedata.normalize("NFC", name)

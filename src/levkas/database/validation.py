@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,7 @@ from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME as CATALOGUE
 from levkas.database.catalogue import DatabaseRefused, database_of, no_database, read_catalogue
 from levkas.database.containment import find_escapes
-from levkas.database.manifest import (
-    NAME,
-    Listed,
-    is_partial,
-    list_files,
-    plain,
-    read_manifest,
-    unfinished,
-)
+from levkas.database.manifest import NAME, Listed, is_partial, list_files, plain, read_manifest
 from levkas.database.remote import THREADS, RemoteRefused, is_remote
 
 
@@ -51,19 +43,11 @@ class Checked:
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """What a validation found.
-
-    Parameters
-    ----------
-    checked : int
-        Files.
-    problems : tuple of Problem
-        At most one a file; empty where all is as it was published. Of a manifest that is missing or damaged that alone.
-    """
+    """What a validation found: how many files were `checked`, and at most one problem a file; of a damaged manifest that alone."""
 
     root: Path
     checked: int
-    problems: tuple[Problem, ...] = field(default=())
+    problems: tuple[Problem, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -88,18 +72,9 @@ def validate(
     threads: int | None = None,
     draw: Callable[[Iterable[Checked]], list[Checked]] = list,
 ) -> ValidationReport:
-    """Check a whole database.
+    """Check a whole database: a folder as `levkas build` writes it, that of its campaign, or an address.
 
-    Parameters
-    ----------
-    database : path
-        A folder as `levkas build` writes it, that of the campaign that it was built from, or the address of a database.
-    threads : int, optional
-        For hashing; default: `levkas.core.machine.count_threads`.
-    draw : callable
-        Consumes the steps; the command line draws them.
-
-    Raises DatabaseRefused where there is no database at all.
+    `draw` consumes the steps; the command line draws them. Raises DatabaseRefused where there is no database at all.
 
     Examples
     --------
@@ -109,8 +84,8 @@ def validate(
     """
     root = database_of(database)
     steps = draw(check_files(root, threads=threads))
-    problems = _once(p for step in steps for p in step.problems)
-    return ValidationReport(root, len([s for s in steps if s.name]), tuple(problems))
+    once = {p.file: p for step in reversed(steps) for p in reversed(step.problems)}
+    return ValidationReport(root, len([s for s in steps if s.name]), tuple(reversed(once.values())))
 
 
 def check_files(database: str | Path, *, threads: int | None = None) -> Iterator[Checked]:
@@ -127,59 +102,55 @@ def check_files(database: str | Path, *, threads: int | None = None) -> Iterator
         return
     names = list_files(root)
     escapes = {str(p.file): p for p in find_escapes(root, names)}
-    for name in (n for n in names if str(root / n) in escapes):
-        yield Checked(name, (escapes[str(root / name)],), total=len(names))
+    for name in names:
+        if problem := escapes.get(str(root / name)):
+            yield Checked(name, (problem,), total=len(names))
     names = [name for name in names if str(root / name) not in escapes]
-    files = {n: f for n, f in manifest.files.items() if str(root / n) not in escapes}
-    count = threads or (THREADS if is_remote(root) else count_threads())
-    yield from _by_hash(root, files, names, count)
+    listed = {
+        plain(name): file
+        for name, file in manifest.files.items()
+        # An older build listed what viewers left.
+        if str(root / name) not in escapes and not DROPPINGS.fullmatch(name.split("/")[-1])
+    }
+    yield from _by_hash(root, listed, names, threads)
 
 
 def _by_hash(
-    root: Path, files: Mapping[str, Listed], names: list[str], threads: int
+    root: Path, listed: Mapping[str, Listed], names: list[str], threads: int | None
 ) -> Iterator[Checked]:
     """Compare every file with the manifest."""
-    # An older build listed what viewers left.
-    kept = {n: one for n, one in files.items() if not DROPPINGS.fullmatch(n.split("/")[-1])}
-    listed = {plain(n): one for n, one in kept.items()}
     there = {plain(name): name for name in names if name != NAME}
-    missing = [listed[key] for key in listed if key not in there]
-    extra = [there[key] for key in there if key not in listed]
+    missing = [file for key, file in listed.items() if key not in there]
     total = len(names) + len(missing)
     found: dict[str, str] = {}
-    damaged: dict[str, Listed] = {}
+    threads = threads or (THREADS if is_remote(root) else count_threads())
     with ThreadPoolExecutor(max(1, threads)) as pool:
         hashes = pool.map(lambda name: _hash(root / name), there.values())
         for done, (key, digest) in enumerate(zip(there, hashes, strict=True), 1):
             found[key] = digest
-            if key in listed and digest != listed[key].sha256:
-                damaged[key] = listed[key]
-            else:
+            if key not in listed or digest == listed[key].sha256:
                 yield Checked(there[key], done=done, total=total)
-    for name in (n for n in names if n == NAME):
-        yield Checked(name, done=len(there) + 1, total=total)
-    for key, entry in damaged.items():
-        problem = _damage_of(root, there[key], entry, found[key], listed)
+    if NAME in names:
+        yield Checked(NAME, done=len(there) + 1, total=total)
+    damaged = [key for key in there if key in listed and found[key] != listed[key].sha256]
+    for key in damaged:
+        problem = _damage_of(root, there[key], listed[key], found[key], listed)
         yield Checked(there[key], (problem,), total, total)
-    for entry in missing:
-        where = [there[key] for key, digest in found.items() if digest == entry.sha256]
-        more = {"found": f"its content is at {where[0]}"} if where else {}
-        yield Checked(
-            "", (_problem(root, entry.name, "E_MISSING", "it is missing", **more),), total, total
-        )
-    for name in extra:
-        yield Checked(name, (_unlisted(root, name),), total, total)
+    problems = []
+    for file in missing:
+        where = next((there[key] for key in there if found[key] == file.sha256), None)
+        more = {"found": f"its content is at {where}"} if where else {}
+        problems.append(_problem(root, file.name, "E_MISSING", "it is missing", **more))
+    problems += [_unlisted(root, name) for key, name in there.items() if key not in listed]
     if not (missing or damaged):
-        stale = tuple(_check_catalogue(root, listed))
-        yield Checked("", stale, total, total)
+        problems += _check_catalogue(root, listed)
+    yield from (Checked("", (problem,), total, total) for problem in problems)
 
 
-def _check_catalogue(root: Path, listed: dict[str, Listed]) -> Iterator[Problem]:
+def _check_catalogue(root: Path, listed: Mapping[str, Listed]) -> Iterator[Problem]:
     """Hold the catalogue's own hashes against the manifest's, which were just found to be true."""
-    if not (root / CATALOGUE).is_file():
-        return
     try:
-        entries = read_catalogue(root)
+        entries = read_catalogue(root) if (root / CATALOGUE).is_file() else ()
     except DatabaseRefused as refused:
         yield from refused.problems
         return
@@ -189,44 +160,38 @@ def _check_catalogue(root: Path, listed: dict[str, Listed]) -> Iterator[Problem]
         if file is None:
             yield _problem(root, name, "E_MISSING", f"{CATALOGUE} lists it, but it is missing")
         elif file.sha256 != entry.sha256.lower():
-            details = {"field": f"sha256 of {name}", "found": entry.sha256, "expected": file.sha256}
+            more = {"field": f"sha256 of {name}", "found": entry.sha256, "expected": file.sha256}
             yield _problem(
-                root, CATALOGUE, "E_DAMAGED", "a hash in it differs from the file", **details
+                root, CATALOGUE, "E_DAMAGED", "a hash in it differs from the file", **more
             )
 
 
 def _damage_of(
-    root: Path, name: str, entry: Listed, digest: str, listed: dict[str, Listed]
+    root: Path, name: str, file: Listed, digest: str, listed: Mapping[str, Listed]
 ) -> Problem:
     """Return as closely as can be what happened to a file whose hash is not the one it had."""
     if digest.startswith("cannot"):
         if is_remote(root) and not (root / name).is_file():  # the manifest was taken for a listing
             return _problem(root, name, "E_MISSING", "it is missing")
         return _problem(root, name, "E_UNREADABLE", f"it {digest}")
-    others = [e.name for e in listed.values() if e.sha256 == digest and e.name != entry.name]
-    if others:
-        details = {"found": f"the content of {others[0]}", "expected": f"sha256 {entry.sha256}"}
-        return _problem(root, name, "E_SWAPPED", "it holds the content of another file", **details)
+    other = next((e.name for e in listed.values() if e.sha256 == digest), None)
+    code, why = "E_DAMAGED", "its bytes have changed"
+    found, expected = f"sha256 {digest}", f"sha256 {file.sha256}"
     size = (root / name).stat().st_size
-    if entry.size is not None and size != entry.size:
-        details = {"found": f"{size} bytes", "expected": f"{entry.size} bytes"}
-        if size < entry.size:
-            return _problem(root, name, "E_TRUNCATED", "it is truncated", **details)
-        return _problem(root, name, "E_SIZE", "it has extra bytes", **details)
-    details = {"found": f"sha256 {digest}", "expected": entry.sha256}
-    return _problem(root, name, "E_DAMAGED", "its bytes have changed", **details)
+    if other:
+        code, why, found = "E_SWAPPED", "it is another file", f"the content of {other}"
+    elif size != file.size:
+        code, why = ("E_TRUNCATED", "it is cut") if size < file.size else ("E_SIZE", "it is longer")
+        found, expected = f"{size} bytes", f"{file.size} bytes"
+    return _problem(root, name, code, why, found=found, expected=expected)
 
 
 def _unlisted(root: Path, name: str) -> Problem:
     """Return the problem of a file that the manifest does not have."""
+    what, fix = "this file is not in the manifest", "Remove it; only a build adds files here."
     if is_partial(name):
-        return unfinished(root / name)
-    return Problem(
-        "E_EXTRA",
-        "this file is not in the manifest",
-        str(root / name),
-        fix="Remove it; only a build adds files here.",
-    )
+        what, fix = "a file that was never finished", "The next build removes it."
+    return Problem("E_EXTRA", what, str(root / name), fix=fix)
 
 
 def _hash(path: Path) -> str:
@@ -243,12 +208,3 @@ def _problem(root: Path, name: str, code: str, why: str, **more: Any) -> Problem
     """Return the problem of one file of a database."""
     fix = "Copy it again, or build the database again."
     return Problem(code, f"{Path(name).name}: {why}", file=str(root / name), fix=fix, **more)
-
-
-def _once(problems: Iterable[Problem]) -> Iterator[Problem]:
-    """Leave out what was reported of a file before in other words."""
-    reported: set[str | None] = set()
-    for problem in problems:
-        if problem.file not in reported:
-            yield problem
-        reported.add(problem.file)
