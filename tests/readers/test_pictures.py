@@ -21,7 +21,7 @@ from levkas.readers.frames import (
     read_frame,
     read_plane,
 )
-from levkas.readers.images import PNG
+from levkas.readers.pictures import PNG
 
 RNG = np.random.default_rng(4)
 CODES = RNG.integers(0, 65536, (40, 50)).astype(np.uint16)

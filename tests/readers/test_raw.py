@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.readers import raw
+from levkas.readers import decoder
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 
 RNG = np.random.default_rng(5)
@@ -176,27 +176,27 @@ def test_a_tile_that_libraw_would_leave_as_zeros_is_refused(tmp_path, spoil):
 
 
 def test_one_decoder_reads_many_files_and_another_follows_a_dead_one(tmp_path, monkeypatch):
-    monkeypatch.setattr(raw, "_idle", [])
+    monkeypatch.setattr(decoder, "_idle", [])
     paths = [write_dng(tmp_path / f"{i}.dng", MOSAIC + i) for i in range(3)]
     for i, path in enumerate(paths):
         assert np.array_equal(read_frame(path), MOSAIC + i) and read_facts(path).kind == "raw"
-    (decoder,) = raw._idle
-    decoder.kill()
-    decoder.wait()
+    (alive,) = decoder._idle
+    alive.kill()
+    alive.wait()
     assert np.array_equal(read_frame(paths[0]), MOSAIC)
-    assert raw._idle[0].pid != decoder.pid
+    assert decoder._idle[0].pid != alive.pid
 
 
-@pytest.mark.skipif(not hasattr(raw.signal, "setitimer"), reason="processor time of Unix")
+@pytest.mark.skipif(not hasattr(decoder.signal, "setitimer"), reason="processor time of Unix")
 def test_a_decoder_that_does_not_end_is_ended_by_its_processor_time(tmp_path, monkeypatch):
     path = write_dng(tmp_path / "a.dng", MOSAIC)
     program = tmp_path / "endless.py"
     program.write_text(
-        f"import runpy\nfound = runpy.run_path({str(raw.PROGRAM)!r})\n"
-        "names = found['limit_reading'].__globals__\nnames['READING_S'] = 0.1\n"
-        "def endless(path, pixels):\n    found['limit_reading'](0)\n    while True:\n        pass\n"
-        "names['read'] = endless\nfound['serve']()\n"
+        f"import runpy\nfound = runpy.run_path({str(decoder.PROGRAM)!r})\n"
+        "found['answer'].__globals__['READING_S'] = 0.1\n"
+        "def endless(path, pixels):\n    while True:\n        pass\n"
+        "found['READERS']['raw'] = endless\nfound['serve']()\n"
     )
-    monkeypatch.setattr(raw, "PROGRAM", program)
-    monkeypatch.setattr(raw, "_idle", [])
+    monkeypatch.setattr(decoder, "PROGRAM", program)
+    monkeypatch.setattr(decoder, "_idle", [])
     assert refusal(path, read_facts)

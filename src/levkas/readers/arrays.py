@@ -1,7 +1,7 @@
-"""Arrays in containers of other programs: .npy, .npz and HDF5, each by a list of what is accepted.
+"""Arrays in containers of other programs: .npy, .npz, HDF5 and MATLAB 5, each by a list of what is accepted.
 
-A container may name other files, decompress without end, or run what a plug-in does. Of each only plain numbers of a declared shape are
-read, from the file itself, and their size is known before memory is taken for them.
+A container may name other files, decompress without end, or run what a plug-in does. Of each only plain numbers of a
+declared shape are read, from the file itself, and their size is known before memory is taken for them.
 """
 
 from __future__ import annotations
@@ -51,20 +51,15 @@ def read_npy(path: Path, shape: Shape) -> np.ndarray:
 
     Raises UnreadableCapture where it is of another shape, of no numbers, or cut; none of it is read then.
     """
-    with _reading(path, "an array as numpy.save writes it"):
+    with reading(path, "an array as numpy.save writes it"):
         stored = np.load(path, mmap_mode="r", allow_pickle=False)
-        _check_kind(path, stored.dtype)
-        _check_shape(path, stored.shape, shape)
-        check_memory(path, stored.size, stored.dtype.itemsize)
+        _check(path, stored, shape)
         return np.array(stored)
 
 
 def read_npz(path: Path, *, most: int) -> dict[str, np.ndarray]:
-    """Read arrays as ``numpy.savez`` writes them, by name; `most` bytes of all of them, decompressed.
-
-    Raises UnreadableCapture.
-    """
-    with _reading(path, "arrays as numpy.savez writes them"), zipfile.ZipFile(path) as archive:
+    """Read arrays as ``numpy.savez`` writes them, by name; `most` bytes of all of them, decompressed."""
+    with reading(path, "arrays as numpy.savez writes them"), zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         declared = sum(member.file_size for member in members)
         if len(members) > MOST_MEMBERS or declared > most:
@@ -78,24 +73,17 @@ def read_npz(path: Path, *, most: int) -> dict[str, np.ndarray]:
 def read_hdf5(path: Path, name: str, shape: Shape) -> np.ndarray:
     """Read one data set of an HDF5 file, such as a MAT-file of version 7.3; `shape` as of `read_npy`.
 
-    Accepted are a hard link, plain numbers, and bytes that lie in the file itself: in one piece, or in
-    chunks that are all there, as they are or behind shuffle and deflate. External files, links and virtual data sets
-    could lead to any file of this computer, and are refused, as are all other filters.
-
-    Raises UnreadableCapture: ``E_MISSING`` without h5py.
+    Accepted are a hard link, plain numbers, and bytes that lie in the file itself: in one piece, or in chunks that are all
+    there, as they are or behind shuffle and deflate. External files, links and virtual data sets could lead to any file
+    of this computer, and are refused, as are all other filters. Raises ``E_MISSING`` without h5py.
     """
     h5py = _h5py(path)
-    with _reading(path, f"an HDF5 file or MATLAB 7.3 with {name!r}"), h5py.File(path, "r") as file:
+    with reading(path, f"an HDF5 file or MATLAB 7.3 with {name!r}"), h5py.File(path, "r") as file:
         link = file.get(name, getlink=True)
-        if not isinstance(link, h5py.HardLink):
-            what = type(link).__name__ if link is not None else "nothing of that name"
-            raise ValueError(f"{name!r} is {what}, no data set of this file")
-        found = file[name]
+        found = file[name] if isinstance(link, h5py.HardLink) else None
         if not isinstance(found, h5py.Dataset):
-            raise ValueError(f"{name!r} is no data set")
-        _check_kind(path, found.dtype)
-        _check_shape(path, found.shape, shape)
-        check_memory(path, found.size, found.dtype.itemsize)
+            raise ValueError(f"{name!r} is no data set of this file")
+        _check(path, found, shape)
         if found.external or found.is_virtual:
             raise ValueError(f"the numbers of {name!r} lie in another file")
         if found.chunks:
@@ -105,17 +93,13 @@ def read_hdf5(path: Path, name: str, shape: Shape) -> np.ndarray:
         return np.asarray(found[()])
 
 
-def list_hdf5(path: Path, group: str = "") -> dict[str, tuple[int, ...]]:
-    """Return the data sets of numbers in all groups of an HDF5 file whose name ends with `group`, by their full name, and their shapes.
+def list_hdf5(path: Path, group: str = "") -> dict[str, tuple[tuple[int, ...], str]]:
+    """Return shape and type of the data sets of numbers in all groups of an HDF5 file whose name ends with `group`, by full name.
 
-    Without `group` they are those of all groups.
-
-    Only hard links are followed: others could lead to any file of this computer.
-
-    Raises UnreadableCapture: ``E_MISSING`` without h5py.
+    Only hard links are followed: others could lead to any file of this computer. Raises ``E_MISSING`` without h5py.
     """
     h5py = _h5py(path)
-    found: dict[str, tuple[int, ...]] = {}
+    found: dict[str, tuple[tuple[int, ...], str]] = {}
     left = MOST_LINKS
 
     def walk(parent: Any, name: str, depth: int) -> None:
@@ -127,21 +111,15 @@ def list_hdf5(path: Path, group: str = "") -> dict[str, tuple[int, ...]]:
             if not isinstance(parent.get(key, getlink=True), h5py.HardLink):
                 continue
             one = parent[key]
+            numbers = getattr(getattr(one, "dtype", None), "kind", "") in tuple(NUMBERS)
             if isinstance(one, h5py.Group) and depth < DEEPEST_GROUP:
                 walk(one, f"{name}/{key}", depth + 1)
-            elif (not group or name.endswith(f"/{group}")) and _holds_numbers(one):
-                found[f"{name}/{key}"] = one.shape
+            elif numbers and (not group or name.endswith(f"/{group}")):
+                found[f"{name}/{key}"] = one.shape, one.dtype.name
 
-    with (
-        _reading(path, f"an HDF5 file with a group {group!r}" if group else "an HDF5 file"),
-        h5py.File(path, "r") as file,
-    ):
+    with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
         walk(file, "", 0)
     return found
-
-
-def _holds_numbers(one: Any) -> bool:
-    return getattr(getattr(one, "dtype", None), "kind", "") in tuple(NUMBERS)
 
 
 def _h5py(path: Path) -> Any:
@@ -181,28 +159,27 @@ def _join_chunks(data: Any) -> np.ndarray:
     return out
 
 
-def _check_kind(path: Path, dtype: np.dtype) -> None:
+def _check(path: Path, array: Any, expected: Shape) -> None:
+    """Refuse an array of no plain numbers, of another shape, or that does not fit in memory."""
+    dtype, found = array.dtype, array.shape
     if dtype.kind not in NUMBERS or dtype.itemsize > WIDEST or dtype.hasobject:
         raise unreadable(path, "the file holds no plain numbers", found=str(dtype), fix=FIX)
-
-
-def _check_shape(path: Path, found: tuple[int, ...], expected: Shape) -> None:
-    if len(found) == len(expected) and all(
-        want in (None, side) for side, want in zip(found, expected, strict=True)
+    if len(found) != len(expected) or any(
+        want not in (None, side) for side, want in zip(found, expected, strict=True)
     ):
-        return
-    raise unreadable(
-        path,
-        "the array has another shape",
-        code="E_SIZE",
-        found=" x ".join(map(str, found)) or "a single number",
-        expected=" x ".join("n" if side is None else str(side) for side in expected),
-        fix=FIX,
-    )
+        raise unreadable(
+            path,
+            "the array has another shape",
+            code="E_SIZE",
+            found=" x ".join(map(str, found)) or "a single number",
+            expected=" x ".join("n" if side is None else str(side) for side in expected),
+            fix=FIX,
+        )
+    check_memory(path, array.size, dtype.itemsize)
 
 
 @contextmanager
-def _reading(path: Path, expected: str) -> Iterator[None]:
+def reading(path: Path, expected: str) -> Iterator[None]:
     """Turn what damaged containers lead their libraries to into refusals."""
     check_file(path, expected)
     try:

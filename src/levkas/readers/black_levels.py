@@ -1,7 +1,7 @@
 """Black levels of a file that are no single number: by phase of a pattern, by row, by column.
 
-DNG 1.7, tags BlackLevel, BlackLevelRepeatDim, BlackLevelDeltaH, BlackLevelDeltaV: the black of a sensel is the level
-of its place in the repeated pattern, plus the delta of its column, plus the delta of its row.
+DNG 1.7, tags BlackLevel, BlackLevelRepeatDim, BlackLevelDeltaH, BlackLevelDeltaV: the black of a sensel is the level of
+its place in the repeated pattern, plus the delta of its column, plus the delta of its row.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.readers.tiff_tags import numbers_of
+from levkas.readers.tiff_directories import numbers_of
 
 MOST_PERIOD = 64
 """Rows or columns after which a pattern of levels repeats; sensors have 1, 2, 4 or 6."""
@@ -20,17 +20,8 @@ MOST_PERIOD = 64
 
 @dataclass(frozen=True)
 class BlackLevels:
-    """Black of every sensel of a frame, counts.
+    """Black of every sensel of a frame, counts: a pattern that repeats from the top left one, and what is added to rows and columns.
 
-    Parameters
-    ----------
-    pattern : rows of float
-        Repeats from the frame's top left sensel.
-    rows, columns : tuple of float
-        Added to each row, and to each column; empty for nothing.
-
-    Examples
-    --------
     >>> BlackLevels(((60.0, 64.0),), rows=(0.0, 1.0)).plane((2, 3)).tolist()
     [[60.0, 64.0, 60.0], [61.0, 65.0, 61.0]]
     """
@@ -92,15 +83,8 @@ def black_facts(
 ) -> dict[str, Any]:
     """Return `black`, `blacks` and `black_unclear` of a page's tags, as `Facts` has them.
 
-    Parameters
-    ----------
-    visible : (top, left, bottom, right)
-        Of the page, px: the frame that is read.
-    top : float, optional
-        Counts at which a sensel is full: no black lies there.
-    mean : float, optional
-        Black over the frame as another decoder understands the tags, counts; without rows and columns
-        it is not compared where levels repeat after more than two sensels.
+    `visible`, (top, left, bottom, right) px, is what is read of the page; at `top` counts a sensel is full: no black lies
+    there; `mean` is the black as another decoder understands the tags, compared where levels repeat after two sensels.
     """
     tags = page.tags
     levels, period = numbers_of(tags, "BlackLevel"), numbers_of(tags, "BlackLevelRepeatDim")
@@ -116,8 +100,7 @@ def black_facts(
     if len(levels) != high * wide:
         return _unclear(f"BlackLevel has {len(levels)} numbers for {high} x {wide} sensels")
     area = tuple(int(n) for n in numbers_of(tags, "ActiveArea"))
-    whole = (0, 0, page.imagelength, page.imagewidth)
-    area = area if len(area) == 4 else whole
+    area = area if len(area) == 4 else (0, 0, page.imagelength, page.imagewidth)
     for name, delta, count in (("V", rows, area[2] - area[0]), ("H", columns, area[3] - area[1])):
         if len(delta) not in (0, count):
             return _unclear(f"BlackLevelDelta{name} has {len(delta)} numbers for {count} lines")

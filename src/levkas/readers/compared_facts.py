@@ -33,22 +33,9 @@ of 5 % at a reflectance of 0.02."""
 class ComparedFact:
     """One fact of the files of a camera.
 
-    Parameters
-    ----------
-    name : str
-        As `overrule` accepts it.
-    title : str
-        As messages name it.
-    fields : tuple of str
-        Of `Facts`; empty where codes are measured.
-    roles : tuple of str
-        Whose files must agree.
-    compare : callable
-        Two values → ``"same"``, ``"noted"`` (a warning names both) or ``"refused"``.
-    per_band : bool
-        Whether bands of one file each may differ.
-    fix : str
-        What to do.
+    `name` is as `overrule` accepts it, `title` as messages name it; `fields` are of `Facts`, none where codes are measured;
+    files of `roles` must agree, by `compare` (a warning names both where they are ``"noted"``); where `per_band`, bands of
+    one file each may differ; `fix` is what to do.
     """
 
     name: str
@@ -95,18 +82,19 @@ def describe_value(fact: ComparedFact, value: Any) -> str:
     >>> describe_value(FACTS_BY_NAME["gain"], (("gain", "2"),))
     'gain = 2'
     """
-    if fact.name == "wavelengths":
-        if len(value) < 3:
-            return ", ".join(f"{v:g}" for v in value) + " nm"
-        return f"{value[0]:g} to {value[-1]:g} nm ({len(value)})"
-    if fact.name == "black":
-        return f"{value[0]:g}" + (", not even" if value[2].varies else "")
-    if fact.name == "bands":
-        return ", ".join(value[:4]) + (" …" if len(value) > 4 else "")
-    if fact.name in ("gain", "binning", "region"):
-        return "; ".join(f"{key} = {text}" for key, text in value)
-    if fact.name == "f_number":
-        return f"f/{value:g}"
+    if fact.name == "wavelengths" and len(value) < 3:
+        return ", ".join(f"{v:g}" for v in value) + " nm"
+    match fact.name:
+        case "wavelengths":
+            return f"{value[0]:g} to {value[-1]:g} nm ({len(value)})"
+        case "black":
+            return f"{value[0]:g}" + (", not even" if value[2].varies else "")
+        case "bands":
+            return ", ".join(value[:4]) + (" …" if len(value) > 4 else "")
+        case "gain" | "binning" | "region":
+            return "; ".join(f"{key} = {text}" for key, text in value)
+        case "f_number":
+            return f"f/{value:g}"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -207,41 +195,30 @@ ALIKE = "Capture again with the same setting: another one changes the codes by a
 ONE_CAMERA = "Use frames of the same camera, or declare two cameras."
 
 
-FACTS = (
-    ComparedFact(
-        "wavelengths", "wavelengths", ("wavelengths",), ALL, compare_wavelengths, True, ONE_SCAN
-    ),
-    ComparedFact("bands", "names of bands", ("band_names",), ALL, compare_names, True, ONE_SCAN),
-    ComparedFact("sample_type", "sample type", ("dtype",), ALL, compare_types, False, SAVED),
-    ComparedFact("code_spacing", "alignment of codes", (), ALL, compare_equal, False, SAVED),
-    ComparedFact("bits", "bits of a code", ("bits",), ALL, compare_equal, False, SAVED),
-    ComparedFact("saturation", "full scale", ("saturation",), ALL, compare_ratio(1.001)),
-    ComparedFact("black", "black level", ("black", "blacks"), ALL, compare_black),
-    ComparedFact("pattern", "mosaic pattern", ("pattern",), ALL, compare_equal),
-    ComparedFact("iso", "ISO", ("iso",), ALL, compare_ratio(ISO_RATIO), True, ALIKE),
-    ComparedFact("gain", "gain", ("gain",), ALL, compare_settings, True, ALIKE),
-    ComparedFact(
-        "f_number", "f-number", ("f_number",), LIT, compare_ratio(STOP_RATIO), True, ALIKE
-    ),
-    ComparedFact("lens", "lens", ("lens",), LIT, compare_texts, True, ALIKE),
-    ComparedFact(
-        "focal_length",
-        "focal length, mm",
-        ("focal_mm",),
-        LIT,
-        compare_ratio(FOCAL_RATIO),
-        True,
-        ALIKE,
-    ),
-    ComparedFact(
-        "white_balance", "white balance", ("white_balance",), LIT, compare_equal, True, ALIKE
-    ),
-    ComparedFact("make", "maker of the camera", ("make",), ALL, compare_makers, True, ONE_CAMERA),
-    ComparedFact("model", "camera model", ("model",), ALL, compare_texts, True, ONE_CAMERA),
-    ComparedFact("serial", "serial number", ("serial",), ALL, compare_texts, True, ONE_CAMERA),
-    ComparedFact("binning", "binning", ("binning",), ALL, compare_settings),
-    ComparedFact("region", "region of the sensor", ("region",), ALL, compare_settings),
-)
+FACTS = tuple(
+    ComparedFact(name, title, fields, roles, compare, per_band, *fix)
+    for name, title, fields, roles, compare, per_band, *fix in (
+        ("wavelengths", "wavelengths", ("wavelengths",), ALL, compare_wavelengths, True, ONE_SCAN),
+        ("bands", "names of bands", ("band_names",), ALL, compare_names, True, ONE_SCAN),
+        ("sample_type", "sample type", ("dtype",), ALL, compare_types, False, SAVED),
+        ("code_spacing", "alignment of codes", (), ALL, compare_equal, False, SAVED),
+        ("bits", "bits of a code", ("bits",), ALL, compare_equal, False, SAVED),
+        ("saturation", "full scale", ("saturation",), ALL, compare_ratio(1.001), False),
+        ("black", "black level", ("black", "blacks"), ALL, compare_black, False),
+        ("pattern", "mosaic pattern", ("pattern",), ALL, compare_equal, False),
+        ("iso", "ISO", ("iso",), ALL, compare_ratio(ISO_RATIO), True, ALIKE),
+        ("gain", "gain", ("gain",), ALL, compare_settings, True, ALIKE),
+        ("f_number", "f-number", ("f_number",), LIT, compare_ratio(STOP_RATIO), True, ALIKE),
+        ("lens", "lens", ("lens",), LIT, compare_texts, True, ALIKE),
+        ("focal_length", "focal length, mm", ("focal_mm",), LIT, compare_ratio(FOCAL_RATIO), True, ALIKE),
+        ("white_balance", "white balance", ("white_balance",), LIT, compare_equal, True, ALIKE),
+        ("make", "maker of the camera", ("make",), ALL, compare_makers, True, ONE_CAMERA),
+        ("model", "camera model", ("model",), ALL, compare_texts, True, ONE_CAMERA),
+        ("serial", "serial number", ("serial",), ALL, compare_texts, True, ONE_CAMERA),
+        ("binning", "binning", ("binning",), ALL, compare_settings, False),
+        ("region", "region of the sensor", ("region",), ALL, compare_settings, False),
+    )
+)  # fmt: skip
 """Bits, full scale, black level and pattern are one for all bands of a sensor."""
 FACTS_BY_NAME = {fact.name: fact for fact in FACTS}
 SCALE = "reflectance_scale"

@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from levkas.core.text import what_stands_at
 from levkas.core.transpose import transpose
-from levkas.readers.envi_header import (
-    EnviHeader,
-    Fields,
-    check_list,
-    exposure_facts,
-    find_data,
-    find_header,
-    parse_header,
-    setting_facts,
-)
-from levkas.readers.envi_values import value_facts
-from levkas.readers.exif import ZERO_DAYS
+from levkas.readers.envi_facts import header_facts
+from levkas.readers.envi_header import EnviHeader, Fields, find_data, find_header, parse_header
 from levkas.readers.facts import Facts, check_memory, check_size, unreadable
 from levkas.readers.nodata import without_nodata
-from levkas.readers.wavelengths import centres_in_names, read_centres
 
 __all__ = ["DATA_TYPES", "EnviFile", "open_envi", "read_envi", "read_envi_facts"]
 
@@ -43,16 +31,8 @@ SHIFTED = 1 << 16
 class EnviFile:
     """One opened cube: its facts, and its lines on request.
 
-    Parameters
-    ----------
-    facts : Facts
-        `path` is the header, `shape` is (lines, samples, bands).
-    offset : int
-        Bytes before the first sample.
-    layout : str
-        Type of a stored sample with its byte order, such as ``">u2"``.
-    header : dict
-        Every field of the header: keys in lower case, text or lists of text.
+    `facts.path` is the header, `facts.shape` (lines, samples, bands); samples of type `layout`, with its byte order, such
+    as ``">u2"``, stand in `data` behind `offset` bytes; `header` has every field, keys in lower case.
     """
 
     facts: Facts
@@ -68,14 +48,8 @@ class EnviFile:
     def read_lines(self, start: int, stop: int) -> np.ndarray:
         """Read lines `start` to `stop` − 1, (stop − start, samples, bands), native byte order, bands innermost.
 
-        Where the header has a `data ignore value` they are floats, NaN for it.
-
-        Raises
-        ------
-        UnreadableCapture
-            Where the data are truncated.
-        ValueError
-            For lines that are not there.
+        Where the header has a `data ignore value` they are floats, NaN for it. Raises UnreadableCapture where the data are
+        truncated.
         """
         lines, samples, bands = self.facts.shape
         if not 0 <= start <= stop <= lines:
@@ -107,18 +81,12 @@ class EnviFile:
                     while left and (got := handle.readinto(left)):
                         left = left[got:]
                     if left:
-                        raise self._short(handle.tell(), len(left))
+                        end = handle.tell()
+                        more = {"found": f"{end} bytes", "expected": f"{end + len(left)} bytes"}
+                        message = "the data are truncated"
+                        raise unreadable(self.data, message, code="E_TRUNCATED", **more)
         except OSError as error:
             raise unreadable(self.data, "the data cannot be read", found=str(error)) from error
-
-    def _short(self, end: int, missing: int) -> Exception:
-        return unreadable(
-            self.data,
-            "the data are truncated",
-            code="E_TRUNCATED",
-            found=f"{end} bytes",
-            expected=f"{end + missing} bytes",
-        )
 
 
 def open_envi(path: str | Path) -> EnviFile:
@@ -144,30 +112,16 @@ def open_envi(path: str | Path) -> EnviFile:
     except OSError as error:
         raise unreadable(path, "the data cannot be opened", found=str(error)) from error
     _, samples, bands = layout.shape
-    # A spectral library holds a spectrum a line: its samples are the wavelengths.
-    centres = samples if "library" in header.text("file type").lower() else bands
-    names = header.fields.get("band names")
-    of_bands, of_values = _band_facts(header, centres), value_facts(header, layout.dtype, bands)
-    notes = of_bands.pop("notes", ()) + of_values.pop("notes")
     facts = Facts(
         path=beside,
         kind="envi",
         shape=layout.shape,
         dtype=layout.dtype.newbyteorder("=").name,
         bits=8 * layout.dtype.itemsize if layout.dtype.kind == "u" else None,
-        saturation=header.number("data ceiling") or None,
-        captured=_date(header),
-        band_names=tuple(names) if isinstance(names, list) and len(names) == bands else None,
         interleave=layout.interleave,
-        **exposure_facts(header, bands),
-        **setting_facts(header),
-        **of_bands,
-        **of_values,
-        notes=notes,
+        **header_facts(header, layout.dtype, samples, bands),
     )
-    return EnviFile(
-        facts=facts, data=data, offset=layout.offset, layout=layout.dtype.str, header=header.fields
-    )
+    return EnviFile(facts, data, layout.offset, layout.dtype.str, header.fields)
 
 
 def read_envi_facts(path: Path) -> Facts:
@@ -182,64 +136,11 @@ def read_envi(path: Path) -> np.ndarray:
     return cube.read()
 
 
-def _band_facts(header: EnviHeader, bands: int) -> dict[str, Any]:
-    """Return `wavelengths`, `fwhm`, `wavelengths_unclear` and `notes` as `Facts` has them.
-
-    Without a list of wavelengths they are looked for in the names of the bands.
-    """
-    lists: dict[str, list[float] | None] = {}
-    for key in ("wavelength", "fwhm"):
-        values = header.numbers(key) if header.fields.get(key) else []
-        numbers = [v for v in values if v is not None]
-        if values:
-            count = len(values) if len(numbers) == bands else len(numbers)
-            check_list(header, key, count, bands)
-        lists[key] = numbers or None
-    found = read_centres(lists["wavelength"] or (), header.text("wavelength units"), lists["fwhm"])
-    names = header.fields.get("band names")
-    none = found.nm is None and not found.unclear
-    if none and isinstance(names, list) and len(names) == bands:
-        return {"wavelengths": centres_in_names(names)}
-    return {
-        "wavelengths": found.nm,
-        "fwhm": found.fwhm,
-        "wavelengths_unclear": found.unclear or None,
-        "notes": (found.note,) if found.note else (),
-    }
-
-
-def _date(header: EnviHeader) -> str | None:
-    for key in ("acquisition time", "acquisition date", "date"):
-        found = re.search(
-            r"\d{4}-[01]\d-[0-3]\d(?:[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:?\d\d)?)?",
-            header.text(key),
-        )
-        if found and found[0][:10] not in ZERO_DAYS:
-            start = header.text("start time")  # Specim's, beside a date without time
-            clock = re.search(r"\d\d:\d\d:\d\d", start) if len(found[0]) == 10 else None
-            zone = "+00:00" if "UTC" in start else ""
-            return f"{found[0]}T{clock[0]}{zone}" if clock else found[0].replace(" ", "T")
-    return None
-
-
 # --- layout -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Order, type and place of the numbers in a data file.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        (lines, samples, bands).
-    interleave : str
-        ``"bil"``, ``"bip"`` or ``"bsq"``.
-    dtype : dtype
-        With the byte order of the file.
-    offset : int
-        Bytes before the first number.
-    """
+class Layout(NamedTuple):
+    """Order, type with its byte order, and place of the numbers in a data file; `shape` is (lines, samples, bands)."""
 
     shape: tuple[int, int, int]
     interleave: str
@@ -265,27 +166,25 @@ def _layout_of(header: EnviHeader) -> Layout:
         field="lines, samples, bands",
         fix="Correct the header: no scan is so large.",
     )
-    if header.whole("file compression", least=0, default=0):
-        fix = "Save the cube again without compression."
-        raise header.refusal("the data are compressed", "file compression", 1, 0, fix)
+    packed = header.whole("file compression", least=0, default=0)
     interleave = header.text("interleave").lower() or ("bsq" if bands == 1 else "")
-    if interleave not in ("bil", "bip", "bsq"):
-        fix = "Write `interleave = bil`, bip or bsq."
-        found = interleave or "nothing"
-        raise header.refusal("unknown interleave", "interleave", found, "bil, bip or bsq", fix)
     code = header.whole("data type")
-    if code not in DATA_TYPES:
-        raise header.refusal(
-            "this data type is not supported",
-            "data type",
-            f"{code}, complex numbers" if code in (6, 9) else code,
-            ", ".join(map(str, DATA_TYPES)),
-            "Save the cube again as whole numbers or floats.",
-        )
     order = header.whole("byte order", least=0, default=0)
-    if order > 1:
-        fix = "Write 0 for little-endian, 1 for big-endian numbers."
-        raise header.refusal("unknown byte order", "byte order", order, "0 or 1", fix)
+    known = ", ".join(map(str, DATA_TYPES))
+    for key, found, right, expected in (
+        ("file compression", packed, not packed, "0: data that are not compressed"),
+        (
+            "interleave",
+            interleave or "nothing",
+            interleave in ("bil", "bip", "bsq"),
+            "bil, bip or bsq",
+        ),
+        ("data type", code, code in DATA_TYPES, f"{known}: whole numbers or floats, none complex"),
+        ("byte order", order, order in (0, 1), "0 for little-endian, 1 for big-endian numbers"),
+    ):
+        if not right:
+            fix = f"Correct `{key}` in the header, or save the cube again."
+            raise header.refusal(f"this {key} is not read", key, found, expected, fix)
     dtype = np.dtype("<>"[order] + DATA_TYPES[code])
     offset = header.whole("header offset", least=0, default=0)
     return Layout((lines, samples, bands), interleave, dtype, offset)

@@ -11,7 +11,7 @@ from datetime import datetime
 from math import isfinite
 from typing import Any, BinaryIO
 
-from levkas.readers.orientation import read_orientation
+from levkas.readers.orientation import UPRIGHT
 
 MOST_READS = 50_000
 """Reads of one file's EXIF, maker notes left out; cameras write some hundred numbers."""
@@ -54,17 +54,29 @@ def read_exif(stream: BinaryIO) -> dict[str, Any]:
     return exif_facts(find)
 
 
+class _BoundedReads:
+    """A file that may be read from `MOST_READS` times, a kilobyte each, and ends then.
+
+    EXIF directories within directories may list the same thousand entries a thousand times over: 64 kB of them take
+    exifread a minute.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream, self._left = stream, MOST_READS
+        self.seek, self.tell = stream.seek, stream.tell
+
+    def read(self, size: int = -1) -> bytes:
+        if self._left < 0:
+            raise ValueError(f"EXIF of more than {MOST_READS} numbers")
+        data = self._stream.read(size)
+        self._left -= 1 + len(data) // 1000
+        return data
+
+
 def exif_facts(find: Callable[[str], Any]) -> dict[str, Any]:
     """Return exposure, sensitivity, date, camera, lens and orientation as fields of `Facts`; None where EXIF does not say.
 
-    Parameters
-    ----------
-    find : callable
-        Name of a tag → its value in any directory, or None.
-
-    Examples
-    --------
-    f/5.6 and 1/32 s, as APEX 5 and 5:
+    `find` returns the value of a tag by its name, from any directory, or None. f/5.6 and 1/32 s, as APEX 5 and 5:
 
     >>> tags = {"ApertureValue": (5, 1), "ShutterSpeedValue": (5, 1), "RecommendedExposureIndex": 100}
     >>> found = exif_facts(tags.get)
@@ -72,26 +84,29 @@ def exif_facts(find: Callable[[str], Any]) -> dict[str, Any]:
     (5.66, 0.03125, 100.0)
     """
 
-    def positive(*names: str) -> float | None:
-        return next((v for name in names if (v := positive_number(find(name)))), None)
-
     def text(*names: str) -> str | None:
         return next((found for name in names if (found := exif_text(find(name)))), None)
 
-    control = finite_number(find("GainControl"))
+    def code(name: str) -> int:
+        value = find(name)
+        first = value[0] if isinstance(value, list | tuple) and value else value
+        return int(first) if isinstance(first, int) else -1
+
+    control, orientation = finite_number(find("GainControl")), code("Orientation")
     return {
-        "exposure_s": positive("ExposureTime") or _power_of_two(find("ShutterSpeedValue"), -1.0),
+        "exposure_s": positive_number(find("ExposureTime"))
+        or _power_of_two(find("ShutterSpeedValue"), -1.0),
         "iso": _sensitivity(find),
         "gain": None if control is None else (("GainControl", f"{control:g}"),),
         "captured": iso_date(text("DateTimeOriginal", "DateTime"), find("OffsetTimeOriginal")),
         "make": text("Make"),
         "model": text("Model"),
         "serial": text("BodySerialNumber", "CameraSerialNumber"),
-        "f_number": positive("FNumber") or _power_of_two(find("ApertureValue"), 0.5),
-        "focal_mm": positive("FocalLength"),
+        "f_number": positive_number(find("FNumber")) or _power_of_two(find("ApertureValue"), 0.5),
+        "focal_mm": positive_number(find("FocalLength")),
         "lens": text("LensModel"),
-        "white_balance": white_balance(find("WhiteBalance")),
-        "orientation": read_orientation(find("Orientation")),
+        "white_balance": BALANCE.get(code("WhiteBalance")),
+        "orientation": orientation if orientation in UPRIGHT else None,
     }
 
 
@@ -123,41 +138,9 @@ def exif_text(value: Any) -> str | None:
     return " ".join(str(value if value is not None else "").replace("\0", " ").split()) or None
 
 
-def white_balance(value: Any) -> str | None:
-    """Return ``"auto"`` or ``"manual"`` of the EXIF tag WhiteBalance, which is a number or a list of one."""
-    first = value[0] if isinstance(value, list | tuple) and value else value
-    return BALANCE.get(first) if isinstance(first, int) else None
-
-
-class _BoundedReads:
-    """A file that may be read from `MOST_READS` times, a kilobyte each, and ends then.
-
-    EXIF directories within directories may list the same thousand entries a thousand times over: 64 kB
-    of them take exifread a minute.
-    """
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream, self._left = stream, MOST_READS
-
-    def read(self, size: int = -1) -> bytes:
-        if self._left < 0:
-            raise ValueError(f"EXIF of more than {MOST_READS} numbers")
-        data = self._stream.read(size)
-        self._left -= 1 + len(data) // 1000
-        return data
-
-    def seek(self, place: int, start: int = 0) -> int:
-        return self._stream.seek(place, start)
-
-    def tell(self) -> int:
-        return self._stream.tell()
-
-
 def iso_date(value: Any, offset: Any = None) -> str | None:
     """Return an EXIF date as ISO 8601, None for the empty dates that cameras write, and where a clock is at its zero.
 
-    Examples
-    --------
     >>> iso_date("2019:02:08 17:43:35", "+01:00")
     '2019-02-08T17:43:35+01:00'
     >>> iso_date("0000:00:00 00:00:00"), iso_date("1970:01:01 00:00:00")
@@ -180,10 +163,8 @@ def iso_date(value: Any, offset: Any = None) -> str | None:
 def finite_number(value: Any) -> float | None:
     """Return a finite number from a number, a rational, text, or the first of several."""
     try:
-        if isinstance(value, tuple | list) and len(value) == 2:
-            value = float(value[0]) / float(value[1])
-        elif isinstance(value, tuple | list):
-            value = value[0]
+        if isinstance(value, tuple | list):
+            value = float(value[0]) / float(value[1]) if len(value) == 2 else value[0]
         number = float(value)
     except (TypeError, ValueError, IndexError, ZeroDivisionError, OverflowError):
         return None

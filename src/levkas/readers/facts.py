@@ -46,7 +46,8 @@ class Facts:
     Parameters
     ----------
     kind : str
-        ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"``, ``"raw-colours"`` (a linear DNG), ``"envi"``, of cubes in containers ``"hdf5-cube"`` or ``"mat"``, or of a stack of maps ``"ripple"`` or ``"hdf5"``.
+        ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"``, ``"raw-colours"`` (a linear DNG), ``"envi"``, of cubes in
+        containers ``"hdf5-cube"`` or ``"mat"``, or of a stack of maps ``"ripple"`` or ``"hdf5"``.
     shape : tuple of int
         (h, w) or (h, w, samples) of one page; for ENVI and stacks of maps (lines, samples, bands).
     pages : int
@@ -54,30 +55,23 @@ class Facts:
     bits : int or None
         Significant bits of a sample.
     black, saturation : float or None, counts
-        `black` is the mean where sensels differ.
-    blacks : BlackLevels or None
-        Black of every sensel, where they differ.
-    black_unclear : str or None
-        What a file states of its black that cannot be understood; `black` is None then.
+        `black` is the mean where sensels differ; `blacks` has that of each then.
+    black_unclear, exposure_unclear, wavelengths_unclear : str or None
+        What a file states that cannot be understood; the fact is None then.
     pattern : str or None
         Letters of the tile that repeats over the visible area, row by row: ``"RGGB"``; 36 of X-Trans.
     band_times_s : tuple of float or None
         Exposures band by band, where an ENVI header lists several; `exposure_s` is None then.
-    exposure_unclear : str or None
-        The exposure of an ENVI header that states no unit.
     captured : str or None
         ISO 8601, local time of the camera unless the file states an offset.
-    make, model, serial : str or None
-        Maker, model and number of the camera; placeholders such as ``"Unknown"`` are None.
     white_balance : str or None
         EXIF's ``"auto"`` or ``"manual"``.
     orientation : int or None
-        EXIF's, 2 to 8, of a file that viewers turn or mirror; pixels are never turned. None of an upright one.
+        EXIF's, 2 to 8, of a file that viewers turn or mirror; pixels are never turned.
     gain, binning, region : tuple of (field, value) or None
-        Amplification, binning and window of the sensor, as the fields of an ENVI header, or the tag GainControl, give them.
+        Amplification, binning and window of the sensor, as the fields of an ENVI header, or the tag GainControl, give
+        them.
     wavelengths, fwhm : tuple of float or None, nm
-    wavelengths_unclear : str or None
-        What a file states that cannot be wavelengths; `wavelengths` is None then.
     nodata : float or None
         Value of samples that hold nothing; NaN where the file says so.
     reflectance_scale : tuple of float or None
@@ -85,7 +79,7 @@ class Facts:
     bad_bands : tuple of int or None
         Indices of bands that the file calls bad.
     page_labels : tuple of str or None
-        Labels of pages that are no names of bands, but may be: those of files, as ImageJ writes them.
+        Labels of pages that may be names of bands: those of files, as ImageJ writes them.
     encoded : str or None
         Tone curve that the file states of its codes, which are not proportional to light then.
     notes : tuple of str
@@ -154,14 +148,12 @@ def facts_of_bands(facts: Facts, places: Sequence[int]) -> Facts:
     (650.0, 450.0)
     """
     count = facts.shape[2] if len(facts.shape) == 3 else facts.pages
-    found = {name: getattr(facts, name) for name in LISTS}
-    picked: dict[str, Any] = {
-        name: tuple(values[i] for i in places)
-        for name, values in found.items()
-        if values and len(values) == count
-    }
-    nothing: dict[str, Any] = dict.fromkeys(LISTS)
-    return replace(facts, **{**nothing, **picked})
+    picked: dict[str, Any] = dict.fromkeys(LISTS)
+    for name in LISTS:
+        values = getattr(facts, name) or ()
+        if len(values) == count:
+            picked[name] = tuple(values[i] for i in places)
+    return replace(facts, **picked)
 
 
 def unreadable(
@@ -175,8 +167,6 @@ def unreadable(
 ) -> UnreadableCapture:
     """Return the refusal of a file, ready to raise.
 
-    Examples
-    --------
     >>> print(unreadable("a.tif", "no page 3", found="2 pages", expected="4", fix="Check the name."))
     no page 3 (file: a.tif; found: 2 pages; expected: 4). Check the name.
     """
@@ -190,9 +180,8 @@ def truncated(
     path: str | Path, message: str, field: str, found: str, expected: str
 ) -> UnreadableCapture:
     """Return the refusal of a file that lacks a part, ready to raise."""
-    return unreadable(
-        path, message, code="E_TRUNCATED", field=field, found=found, expected=expected
-    )
+    more = {"field": field, "found": found, "expected": expected}
+    return unreadable(path, message, code="E_TRUNCATED", **more)
 
 
 @contextmanager
@@ -203,14 +192,11 @@ def decoding(path: Path, what: str) -> Iterator[None]:
     except Refused:
         raise
     except Exception as error:
-        # Damaged headers lead tifffile, imagecodecs and exifread to any class there is: struct,
-        # zlib, key, type, recursion and memory errors were all met. Programs still end on Ctrl-C.
-        raise unreadable(
-            path,
-            f"the {what} cannot be read",
-            found=f"{type(error).__name__}: {error}"[:300],
-            expected=f"a whole {what}",
-        ) from error
+        # Damaged headers lead tifffile, Pillow and exifread to any class there is: struct, zlib, key, type, recursion and
+        # memory errors were all met. Programs still end on Ctrl-C.
+        found = f"{type(error).__name__}: {error}"[:300]
+        message, expected = f"the {what} cannot be read", f"a whole {what}"
+        raise unreadable(path, message, found=found, expected=expected) from error
 
 
 def check_size(
@@ -222,15 +208,15 @@ def check_size(
     fix: str = COPY_AGAIN,
 ) -> None:
     """Refuse absurd declared sizes before anything is allocated."""
-    samples = prod(int(side) for side in shape)
-    if min(shape) > 0 and samples <= most and max(shape) <= LONGEST_SIDE:
+    sides = [int(side) for side in shape]
+    if min(sides) > 0 and prod(sides) <= most and max(sides) <= LONGEST_SIDE:
         return
     raise unreadable(
         path,
         "the declared size is not plausible",
         code="E_SIZE",
         field=field,
-        found=" x ".join(str(s) for s in shape),
+        found=" x ".join(map(str, sides)),
         expected=f"1 to {most} samples, sides up to {LONGEST_SIDE}",
         fix=fix,
     )
@@ -239,18 +225,9 @@ def check_size(
 def check_expansion(
     path: Path, samples: int, itemsize: int, stored: int, *, most: int = LARGEST_EXPANSION
 ) -> None:
-    """Refuse a large frame from a small file, unless $LEVKAS_MEMORY allows for it.
+    """Refuse a large frame of `samples`, all pages together, from a file of `stored` bytes that would each become over `most`.
 
-    Parameters
-    ----------
-    samples, itemsize : int
-        Of all pages, and bytes of each sample.
-    stored : int
-        Bytes of the file.
-    most : int
-        Bytes that one stored byte may become.
-
-    Raises UnreadableCapture: ``E_SIZE`` with the decoded size.
+    $LEVKAS_MEMORY allows for it.
     """
     needed = samples * itemsize
     if samples <= SMALL_SAMPLES or needed <= most * stored or chosen_memory() is not None:
@@ -268,12 +245,9 @@ def check_expansion(
 
 
 def check_memory(path: Path, samples: int, itemsize: int) -> None:
-    """Refuse a frame that does not fit in memory, before it is decoded.
-
-    Raises UnreadableCapture: ``E_MEMORY`` with the decoded size and the bound.
-    """
+    """Refuse a frame that does not fit in memory, before it is decoded: ``E_MEMORY`` with the decoded size and the bound."""
     needed = samples * (itemsize + IN_WORK)
-    if samples <= SMALL_SAMPLES // 2 or (bound := memory_bound()) is None or needed <= bound:
+    if samples <= SMALL_SAMPLES // 2 or needed <= (bound := memory_bound()):
         return
     raise unreadable(
         path,
@@ -287,17 +261,13 @@ def check_memory(path: Path, samples: int, itemsize: int) -> None:
     )
 
 
-def check_ratio(
-    path: Path, needed: int, stored: int, *, ratio: int, field: str = "width, height"
-) -> None:
+def check_ratio(path: Path, needed: int, stored: int, *, ratio: int) -> None:
     """Refuse an image of `needed` bytes that `stored` bytes cannot hold at `ratio` to 1."""
     if needed <= FREE_BYTES or needed <= ratio * stored:
         return
-    raise unreadable(
-        path,
+    message, found = (
         "the image is larger than its stored bytes allow",
-        code="E_SIZE",
-        field=field,
-        found=f"{needed} bytes from {stored}",
-        expected=f"at most {ratio} to 1",
+        f"{needed} bytes from {stored}",
     )
+    more = {"field": "width, height", "found": found, "expected": f"at most {ratio} to 1"}
+    raise unreadable(path, message, code="E_SIZE", **more)

@@ -16,7 +16,7 @@ from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Refused
 from levkas.core.progress import FRAMES
 from levkas.core.text import what_stands_at
-from levkas.readers import images
+from levkas.readers import pictures
 from levkas.readers.envi_header import DATA_SUFFIXES, find_header
 from levkas.readers.facts import Facts, UnreadableCapture, unreadable
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
@@ -43,16 +43,10 @@ EXPECTED = "TIFF, PNG, JPEG, camera raw, ENVI with its header, or a cube in HDF5
 
 
 class Reader(NamedTuple):
-    """The reader of a format; its module is imported when first needed.
+    """The reader of a format: its module, imported when first needed, and the functions of facts and frame in it.
 
-    Parameters
-    ----------
-    module, facts, frame : str
-        Module, function of the facts, function of the frame.
-    signatures : tuple of bytes
-        With which its files begin; none where the name decides.
-    suffixes : tuple of str
-        Of files that hold a frame and its facts by themselves, lower case.
+    `signatures`: with which its files begin; none where the name decides. `suffixes`: of files that hold a frame and its
+    facts by themselves, lower case.
     """
 
     module: str
@@ -63,25 +57,17 @@ class Reader(NamedTuple):
 
 
 READERS = {
-    "tiff": Reader(
-        "levkas.readers.tiff", "read_tiff_facts", "read_tiff_page", TIFF, (".tif", ".tiff")
-    ),
-    "png": Reader("levkas.readers.images", "read_png_facts", "read_png", (images.PNG,), (".png",)),
-    "jpeg": Reader(
-        "levkas.readers.images", "read_jpeg_facts", "read_jpeg", (images.JPEG,), (".jpg", ".jpeg")
-    ),
-    "raw": Reader("levkas.readers.raw", "read_raw_facts", "read_raw"),
-    "envi": Reader("levkas.readers.envi", "read_envi_facts", "read_envi"),
-    "ripple": Reader("levkas.readers.map_stacks", "read_ripple_facts", "read_ripple"),
-    "hdf5": Reader("levkas.readers.map_stacks", "read_hdf5_facts", "read_hdf5_maps"),
+    "tiff": Reader("tiff", "read_tiff_facts", "read_tiff_page", TIFF, (".tif", ".tiff")),
+    "png": Reader("pictures", "read_png_facts", "read_png", (pictures.PNG,), (".png",)),
+    "jpeg": Reader("pictures", "read_jpeg_facts", "read_jpeg", (pictures.JPEG,), (".jpg", ".jpeg")),
+    "raw": Reader("raw", "read_raw_facts", "read_raw"),
+    "envi": Reader("envi", "read_envi_facts", "read_envi"),
+    "ripple": Reader("containers", "read_ripple_facts", "read_ripple"),
+    "hdf5": Reader("containers", "read_hdf5_facts", "read_hdf5_frame"),
     "hdf5-cube": Reader(
-        "levkas.readers.container_cubes",
-        *("read_hdf5_cube_facts", "read_hdf5_cube"),
-        (b"MATLAB 7.3 MAT-fil",),
+        "containers", "read_hdf5_facts", "read_hdf5_frame", (b"MATLAB 7.3 MAT-fil",)
     ),
-    "mat": Reader(
-        "levkas.readers.container_cubes", *("read_mat_facts", "read_mat"), (b"MATLAB 5.0 MAT-fil",)
-    ),
+    "mat": Reader("containers", "read_mat_facts", "read_mat", (b"MATLAB 5.0 MAT-fil",)),
 }
 STACKS = {".rpl": "ripple", ".h5": "hdf5", ".hdf5": "hdf5"}
 """Suffixes of stacks of maps, whose first bytes name nothing."""
@@ -92,11 +78,9 @@ ALONE = (RENDERED | {*RAW_SUFFIXES}) - {*DATA_SUFFIXES}
 
 
 def kind_of(path: str | Path) -> str:
-    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"``, ``"envi"``, ``"ripple"``, ``"hdf5"``, ``"hdf5-cube"`` or ``"mat"`` from name and first bytes.
+    """Return a key of `READERS` by name and first bytes.
 
-    A header beside decides that ``.raw``, ``.dat``, ``.img``, … are ENVI; without one ``.raw`` is
-    taken for a camera raw.
-
+    A header beside decides that ``.raw``, ``.dat``, ``.img``, … are ENVI; without one ``.raw`` is taken for a camera raw.
     Raises UnreadableCapture where there is no such file, or it is none of these.
     """
     path = Path(path)
@@ -128,15 +112,13 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
 
     A cube that cannot be opened is what is there of it.
 
-    Examples
-    --------
     >>> [file.name for file in files_of("raw/icon1.tif")]
     ['icon1.tif']
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".rpl":
-        from levkas.readers.map_stacks import ripple_data
+        from levkas.readers.containers import ripple_data
 
         return path, ripple_data(path)
     if suffix != ".hdr" and (suffix in ALONE or find_header(path) is None):
@@ -151,19 +133,14 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
 
 
 def read_facts(path: str | Path) -> Facts:
-    """Return what a capture's headers declare, sizes checked.
+    """Return what a capture's headers declare, sizes checked; of a file that was not touched since, once a process.
 
-    No pixel is decoded, but for camera raw, whose levels LibRaw has only after. Facts of a file that
-    was not touched since are read once a process.
-
-    Raises UnreadableCapture with the file, what was found and what was expected.
+    No pixel is decoded, but for camera raw, whose levels LibRaw has only after. Raises UnreadableCapture with the file,
+    what was found and what was expected.
     """
     path = Path(path)
-    try:
-        # An ENVI header's facts hang on its data too; it costs little to read again.
-        stamp = stamp_of(path) if path.suffix.lower() in ALONE else None
-    except OSError:
-        stamp = None
+    # An ENVI header's facts hang on its data too; it costs little to read again.
+    stamp = _stamp(path) if path.suffix.lower() in ALONE else None
     return _facts_of(path, stamp) if stamp else _call(kind_of(path), "facts", path)
 
 
@@ -176,10 +153,7 @@ def _facts_of(path: Path, _stamp: Stamp) -> Facts:
 def read_headers(path: str | Path) -> Facts:
     """Return what `read_facts` returns, but of a camera raw its EXIF alone, without a size: nothing is decoded."""
     path = Path(path)
-    try:
-        stamp = stamp_of(path) if path.suffix.lower() in RAW_SUFFIXES else None
-    except OSError:
-        stamp = None
+    stamp = _stamp(path) if path.suffix.lower() in RAW_SUFFIXES else None
     return _headers_of(path, stamp) if stamp else read_facts(path)
 
 
@@ -188,28 +162,21 @@ def _headers_of(path: Path, _stamp: Stamp) -> Facts:
     return read_raw_headers(path) if kind_of(path) == "raw" else read_facts(path)
 
 
+def _stamp(path: Path) -> Stamp | None:
+    try:
+        return stamp_of(path)
+    except (OSError, ValueError):  # refused, with its reason, where it is opened
+        return None
+
+
 def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
     """Read one frame in its own dtype; EXIF orientation is ignored.
 
-    Parameters
-    ----------
-    path : path
-        Is only read.
-    page : int, optional
-        Of a multi-page TIFF, from 0; the first by default. Previews and masks are not counted.
+    `page` is that of a multi-page TIFF, from 0, without previews and masks; the first by default. The frame is (h, w) or
+    (h, w, samples) in native byte order, colours red, green, blue; a camera raw is the mosaic of its visible area, a
+    linear DNG its colours; of ENVI it is (lines, samples, bands).
 
-    Returns
-    -------
-    values : ndarray, (h, w) or (h, w, samples), native byte order
-        Colour samples in the order red, green, blue; a camera raw is the mosaic of its visible
-        area, a linear DNG its colours; for ENVI (lines, samples, bands).
-
-    Raises
-    ------
-    UnreadableCapture
-        Whatever is wrong with the file: what is missing never reads as zeros.
-    ValueError
-        For a negative page.
+    Raises UnreadableCapture whatever is wrong with the file: what is missing never reads as zeros.
     """
     if page is not None and page < 0:
         raise ValueError(f"page {page}; pages count from 0")
@@ -231,8 +198,6 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
 
 def read_plane(path: str | Path, *, page: int | None = None) -> np.ndarray:
     """Read a frame of one sample a pixel, (h, w); equal samples of a grey picture saved as colours are one.
-
-    Parameters are those of `read_frame`.
 
     Raises UnreadableCapture as `read_frame`; ``E_BAND_COUNT`` where the samples of a pixel differ.
     """
@@ -256,28 +221,17 @@ def read_plane(path: str | Path, *, page: int | None = None) -> np.ndarray:
 
 
 def read_sample(path: str | Path, *, most: int = LARGEST_SAMPLE) -> np.ndarray:
-    """Read a frame, or of one of more than `most` samples blocks of rows spread over it.
+    """Read a frame, or of one of more than `most` samples blocks of rows and columns spread over it.
 
-    Parameters
-    ----------
-    most : int
-        Samples: all are decoded, few are returned.
-
-    Returns
-    -------
-    values : ndarray, (h, w) or (h, w, samples)
-        As `read_frame` reads them. Blocks begin at multiples of 60 px, so that the tiles of a mosaic
-        go on through them.
-
-    Raises UnreadableCapture.
+    All samples are decoded. Blocks begin at multiples of 60 px, so that the tiles of a mosaic go on through them.
     """
     facts = read_facts(path)
+    values = read_frame(path)
     if facts.kind == "envi" or prod(facts.shape) <= most:
-        return read_frame(path)
+        return values
     pixels = most // prod(facts.shape[2:])
     columns = _spread(facts.shape[1], pixels // (BLOCKS * BLOCK))
     rows = _spread(facts.shape[0], pixels // sum(stop - start for start, stop in columns))
-    values = read_frame(path)
     lines = [[values[slice(*r), slice(*c)] for c in columns] for r in rows]
     return np.concatenate([np.concatenate(line, axis=1) for line in lines])
 
@@ -299,7 +253,8 @@ def _call(kind: str, which: Literal["facts", "frame"], path: Path, *page: int | 
     """Call a function of the readers of a kind; an exception that it does not foresee names the file."""
     row = READERS[kind]
     try:
-        function: Callable[..., Any] = getattr(import_module(row.module), getattr(row, which))
+        module = import_module(f"levkas.readers.{row.module}")
+        function: Callable[..., Any] = getattr(module, getattr(row, which))
         return function(path, *page)
     except (Refused, MemoryError, OSError):
         raise
@@ -308,27 +263,22 @@ def _call(kind: str, which: Literal["facts", "frame"], path: Path, *page: int | 
 
 
 def _first_bytes(path: Path) -> bytes:
-    try:
-        if (found := what_stands_at(path)) != "a file":
+    found, expected, fix = (
+        what_stands_at(path),
+        "a file",
+        "Add the frame, or correct the pattern in `files`.",
+    )
+    if found == "a file":
+        try:
+            with path.open("rb") as handle:
+                if head := handle.read(32):
+                    return head
+        except OSError as error:
+            found, expected = str(error), "a readable file"
+            fix = "Change its permissions, or copy it again."
+        else:
+            expected = "an image"
             raise unreadable(
-                path,
-                "the file cannot be opened",
-                found=found,
-                expected="a file",
-                fix="Add the frame, or correct the pattern in `files`.",
+                path, "the file is empty", code="E_TRUNCATED", found="0 bytes", expected=expected
             )
-        with path.open("rb") as handle:
-            head = handle.read(32)
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        raise unreadable(
-            path,
-            "the file cannot be opened",
-            found=str(error),
-            expected="a readable file",
-            fix="Change its permissions, or copy it again.",
-        ) from error
-    if not head:
-        raise unreadable(
-            path, "the file is empty", code="E_TRUNCATED", found="0 bytes", expected="an image"
-        )
-    return head
+    raise unreadable(path, "the file cannot be opened", found=found, expected=expected, fix=fix)

@@ -13,15 +13,8 @@ from levkas.readers.envi_header import parse_number
 def nodata_of(text: str, dtype: np.dtype[Any], name: str) -> tuple[float | None, list[str]]:
     """Return the value of samples that hold nothing, None where there is none, and what to say of it.
 
-    Parameters
-    ----------
-    text : str
-        Of the field `name` of a file.
-    dtype : dtype
-        Of its samples.
+    `text` is that of the field `name` of a file whose samples are of `dtype`.
 
-    Examples
-    --------
     >>> nodata_of("-9999", np.dtype("u2"), "GDAL_NODATA")
     (None, ['GDAL_NODATA = -9999 is no value of uint16 samples, and is not used'])
     """

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 UPRIGHT: dict[int, tuple[bool, int]] = {
     2: (True, 0),
     3: (False, 180),
@@ -14,16 +12,6 @@ UPRIGHT: dict[int, tuple[bool, int]] = {
     8: (False, 270),
 }
 """EXIF orientation (tag 274) → `mirror` and `rotate` of the grid that shows such a file upright: Exif 2.32, section 4.6.4."""
-
-
-def read_orientation(value: Any) -> int | None:
-    """Return the tag Orientation, a number or a list of one, where it turns or mirrors a picture: 2 to 8.
-
-    >>> read_orientation([6]), read_orientation(1), read_orientation("top")
-    (6, None, None)
-    """
-    first = value[0] if isinstance(value, list | tuple) and value else value
-    return int(first) if isinstance(first, int) and 2 <= first <= 8 else None
 
 
 def describe_turn(orientation: int) -> str:
@@ -44,5 +32,4 @@ def grid_keys(orientation: int) -> dict[str, bool | int]:
     ({'rotate': 90}, {'mirror': True, 'rotate': 90})
     """
     mirror, rotate = UPRIGHT[orientation]
-    keys: dict[str, bool | int] = {"mirror": mirror, "rotate": rotate}
-    return {key: value for key, value in keys.items() if value}
+    return {**({"mirror": True} if mirror else {}), **({"rotate": rotate} if rotate else {})}

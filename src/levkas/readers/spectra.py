@@ -10,26 +10,11 @@ import numpy as np
 
 
 def parse_spectra(text: str, columns: int | None = None) -> tuple[np.ndarray, list[str]]:
-    """Parse a CSV of wavelength in nm and columns of values.
+    """Parse a CSV of wavelength in nm and columns of values, of which the first `columns` are read, wavelengths included.
 
-    Parameters
-    ----------
-    text : str
-        Lines that begin with # are left out; a header may come first.
-    columns : int, optional
-        How many are read, that of the wavelengths included; all by default.
+    Lines that begin with # are left out; a header may come first. Rows come by ascending wavelength, NaN where a cell is
+    empty, with the header's cells. Raises ValueError for text that is no number behind it, and rows of several lengths.
 
-    Returns
-    -------
-    table : ndarray, (n, columns)
-        Rows by ascending wavelength; NaN where a cell is empty.
-    head : list of str
-        Of the columns; empty without a header.
-
-    Raises ValueError for text that is no number behind the header, and rows of several lengths.
-
-    Examples
-    --------
     >>> table, head = parse_spectra("nm,white\\n500,0.9\\n400,\\n")
     >>> table.tolist(), head
     ([[400.0, nan], [500.0, 0.9]], ['nm', 'white'])

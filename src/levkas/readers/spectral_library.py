@@ -28,15 +28,12 @@ LARGEST_ASD = 4 << 20
 EXPECTED = "an ENVI spectral library (.sli or its .hdr), a file of ASD, or a CSV"
 NM_FROM = 100.0
 """Wavelengths of text below it are µm: no library has nanometres that short."""
+Library = tuple[np.ndarray, np.ndarray, list[str]]
+"""Wavelengths (n,), nm; values (spectra, n); names."""
 
 
 def read_spectra(path: str | Path) -> xarray.DataArray:
-    """Read a library of spectra.
-
-    Parameters
-    ----------
-    path : path
-        ENVI's ``.sli`` or its header; ``.asd``; a CSV of wavelength and a column a spectrum.
+    """Read a library of spectra: ENVI's ``.sli`` or its header; ``.asd``; a CSV of wavelength and a column a spectrum.
 
     Returns
     -------
@@ -93,9 +90,7 @@ def write_spectra(path: str | Path, spectra: xarray.DataArray) -> list[Path]:
     Raises
     ------
     ValueError
-        Of another suffix or other dimensions.
-    WriteRefused
-        Where the disk refuses.
+        Of another suffix or other dimensions; WriteRefused where the disk refuses.
 
     Examples
     --------
@@ -134,10 +129,6 @@ def write_spectra(path: str | Path, spectra: xarray.DataArray) -> list[Path]:
     return [path, header]
 
 
-Library = tuple[np.ndarray, np.ndarray, list[str]]
-"""Wavelengths (n,), nm; values (spectra, n); names."""
-
-
 def _read_sli(path: Path) -> Library:
     beside = path if path.suffix.lower() == ".hdr" else find_header(path)
     if beside is None:
@@ -161,12 +152,11 @@ def _read_sli(path: Path) -> Library:
     if len(nm) != samples:
         found = f"{len(numbers)} wavelengths"
         raise _refused(path, "the library has no wavelengths", found, f"{samples} in nm or µm")
-    scale = header.number("reflectance scale factor") or 1.0
     named = header.fields.get("spectra names") or ()
     names = [named] if isinstance(named, str) else list(named)
     if len(names) != lines:
         names = [f"spectrum {number}" for number in range(1, lines + 1)]
-    return np.array(nm), values.astype(float) / scale, names
+    return np.array(nm), values / (header.number("reflectance scale factor") or 1.0), names
 
 
 def _read_asd(path: Path) -> Library:
@@ -178,8 +168,7 @@ def _read_asd(path: Path) -> Library:
         dtype = np.dtype("<" + ASD_TYPES[data[199]])
         count = struct.unpack_from("<H", data, 204)[0]
         values = np.frombuffer(data, dtype, count, ASD_HEADER).astype(float)
-        behind = ASD_HEADER + count * dtype.itemsize
-        white = None
+        behind, white = ASD_HEADER + count * dtype.itemsize, None
         if data[:3] != b"ASD" and len(data) > behind + 2 and any(data[behind : behind + 2]):
             words = struct.unpack_from("<H", data, behind + 18)[0]
             white = np.frombuffer(data, dtype, count, behind + 20 + words).astype(float)
@@ -205,13 +194,10 @@ def _read_text(path: Path) -> Library:
             raise ValueError("no wavelengths that rise in the first column")
     except ValueError as error:
         raise _refused(path, "these are no spectra", str(error)) from None
-    names = (
-        head[1:]
-        or [path.stem] * (table.shape[1] == 2)
-        or [f"spectrum {n}" for n in range(1, table.shape[1])]
-    )
+    count = table.shape[1] - 1
+    alone = [path.stem] if count == 1 else [f"spectrum {n}" for n in range(1, count + 1)]
     scale = 1000.0 if table[-1, 0] < NM_FROM else 1.0
-    return table[:, 0] * scale, table[:, 1:].T, names
+    return table[:, 0] * scale, table[:, 1:].T, head[1:] or alone
 
 
 def _refused(path: Path, what: str, found: str, expected: str = EXPECTED) -> Exception:

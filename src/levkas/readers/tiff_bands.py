@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from levkas.readers.exif import exif_text, positive_number
-from levkas.readers.tiff_directories import WAVELENGTHS
-from levkas.readers.tiff_tags import numbers_of, value_of
+from levkas.readers.tiff_directories import WAVELENGTHS, numbers_of, value_of
 from levkas.readers.wavelengths import centres_in_names, read_centres
 
 METADATA = 65111
@@ -28,44 +27,34 @@ them, and `note`."""
 def band_facts(tiff: Any, pages: Sequence[Any], samples: int) -> dict[str, Any]:
     """Return what a TIFF says of its bands, as fields of `Facts`, and `notes`.
 
-    Parameters
-    ----------
-    pages : sequence of tifffile page
-        Its images, bands where there are several.
-    samples : int
-        Of a pixel, bands where there is one page.
-
-    Returns
-    -------
-    facts : dict
-        Of the first way in which the file lists its bands: a list of another length is of something else, and
-        is passed over.
+    Bands are its images `pages` where there are several, else the `samples` of a pixel. Of several lists of them the first
+    counts; one of another length than the bands is of something else, and is passed over.
     """
     count = len(pages) if len(pages) > 1 else samples
-    readers: list[Callable[[], Found]] = [
-        lambda: _spectral(pages, count),
-        lambda: _camera_bands(pages, count),
-        lambda: _labels(_imagej(tiff), count),
-        lambda: _labels([exif_text(value_of(p.tags, "PageName")) for p in pages], count),
-        lambda: _labels([_short(p.description) for p in pages], count),
-    ]
+    labels = (
+        _imagej(tiff),
+        [exif_text(value_of(page.tags, "PageName")) for page in pages],
+        [_short(page.description) for page in pages],
+    )
+    sources = [_spectral(pages, count), _camera_bands(pages, count)]
     found: Found = {}
-    for read in readers:
-        more = read()
-        if any(more.get(key) for key in ("wavelengths", "wavelengths_unclear")) and any(
-            found.get(key) for key in ("wavelengths", "wavelengths_unclear")
-        ):
+    for more in sources + [_labels(each, count) for each in labels]:
+        # Wavelengths of one source do not go with the widths of another.
+        if _has_centres(more) and _has_centres(found):
             continue
         found = {**more, **{key: value for key, value in found.items() if value}}
     note = found.pop("note", "")
     return {**found, "notes": [note] if note else []}
 
 
-def _of_centres(values: Sequence[float], unit: str, fwhm: Sequence[float] | None = None) -> Found:
-    found = read_centres(values, unit, fwhm)
-    unclear = found.unclear or None
-    centres = {"wavelengths": found.nm, "fwhm": found.fwhm, "wavelengths_unclear": unclear}
-    return {**centres, "note": found.note}
+def _has_centres(found: Found) -> bool:
+    return bool(found.get("wavelengths") or found.get("wavelengths_unclear"))
+
+
+def _of_centres(values: Sequence[float], fwhm: Sequence[float] | None = None) -> Found:
+    found = read_centres(values, "nm", fwhm)
+    centres = {"wavelengths": found.nm, "fwhm": found.fwhm}
+    return {**centres, "wavelengths_unclear": found.unclear or None, "note": found.note}
 
 
 def _spectral(pages: Sequence[Any], count: int) -> Found:
@@ -79,29 +68,24 @@ def _spectral(pages: Sequence[Any], count: int) -> Found:
     except (ValueError, RecursionError):
         record = {}
     record = record if isinstance(record, dict) else {}
-    names = record.get("bands")
-    known = isinstance(names, list) and len(names) == count
-    more: Found = {"band_names": tuple(map(str, names or ()))} if known else {}
-    full = {"f": 1.0, "u": REFLECTANCE_CODES}.get(pages[0].dtype.kind)
-    if (
-        record.get("quantity", "reflectance") == "reflectance"
-        and pages[0].dtype.itemsize > 1
-        and full
-    ):
+    names, more = record.get("bands"), {}
+    if isinstance(names, list) and len(names) == count:
+        more["band_names"] = tuple(map(str, names))
+    dtype = pages[0].dtype
+    full = {"f": 1.0, "u": REFLECTANCE_CODES}.get(dtype.kind)
+    if record.get("quantity", "reflectance") == "reflectance" and dtype.itemsize > 1 and full:
         more["reflectance_scale"] = (full,) * count
     numbered = all(wavelength is None for wavelength in record.get("wavelength") or [0])
-    return more if numbered else {**_of_centres(values, "nm"), **more}
+    return more if numbered else {**_of_centres(values), **more}
 
 
 def _camera_bands(pages: Sequence[Any], count: int) -> Found:
     """Read centre, width (nm) and name of the band that MicaSense and others put in the XMP of each page."""
-    found = [camera_band(value_of(page.tags, "XMP") or b"") for page in pages]
-    if len(found) != count:
+    if len(pages) != count:
         return {}
+    found = [camera_band(value_of(page.tags, "XMP") or b"") for page in pages]
     centres, widths, names = (list(column) for column in zip(*found, strict=True))
-    made: Found = {}
-    if all(centres):
-        made = _of_centres(centres, "nm", widths if all(widths) else None)
+    made = _of_centres(centres, widths if all(widths) else None) if all(centres) else {}
     if all(names) and len(set(names)) == count:
         made["band_names"] = tuple(names)
     return made
@@ -110,22 +94,14 @@ def _camera_bands(pages: Sequence[Any], count: int) -> Found:
 def camera_band(xmp: bytes | str) -> tuple[float | None, float | None, str | None]:
     """Return centre and width (nm) and name of the band in the XMP of a page.
 
-    Examples
-    --------
     >>> camera_band(b"<Camera:CentralWavelength>475</Camera:CentralWavelength>")
     (475.0, None, None)
     """
     text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else str(xmp)
-
-    def find(name: str) -> str | None:
-        found = re.search(rf"Camera:{name}(?:=\"|>)\s*([^<\"]+)", text)
-        return found[1].strip() if found else None
-
-    return (
-        positive_number(find("CentralWavelength")),
-        positive_number(find("WavelengthFWHM")),
-        find("BandName"),
-    )
+    names = ("CentralWavelength", "WavelengthFWHM", "BandName")
+    found = (re.search(rf"Camera:{name}(?:=\"|>)\s*([^<\"]+)", text) for name in names)
+    centre, width, name = (one[1].strip() if one else None for one in found)
+    return positive_number(centre), positive_number(width), name
 
 
 def _imagej(tiff: Any) -> list[str]:
@@ -148,8 +124,5 @@ def _labels(labels: Sequence[str | None], count: int) -> Found:
 
 def _short(text: str | None) -> str | None:
     text = (text or "").strip()
-    return (
-        text
-        if 0 < len(text) <= LONGEST_LABEL and not text.startswith(("{", "<", "ImageJ="))
-        else None
-    )
+    prose = len(text) > LONGEST_LABEL or text.startswith(("{", "<", "ImageJ="))
+    return None if prose else text or None

@@ -1,12 +1,14 @@
-"""Directories of a TIFF, walked before any library follows them, and which of its pages are images."""
+"""Directories of a TIFF, walked before any library follows them, which of its pages are images, and values of their tags."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
 
 from levkas.readers.facts import truncated, unreadable
 
@@ -20,20 +22,12 @@ WAVELENGTHS = 65000
 PREVIEW = 4
 """Of the largest page: a page of a fourth of its pixels or less, half a side, is a preview or a step of a pyramid. Bands of
 one camera have one size; twice or half the number separates the same pages."""
+RATIONAL = (5, 10)
+"""Types of tags."""
 
 
-@dataclass(frozen=True)
-class Directory:
-    """Declared by one directory.
-
-    Parameters
-    ----------
-    kind : int
-        NewSubfileType.
-    width, height : int, px
-    spectral : bool
-        Whether it lists wavelengths.
-    """
+class Directory(NamedTuple):
+    """Declared by one directory: NewSubfileType, size in px, and whether it lists wavelengths."""
 
     kind: int
     width: int
@@ -51,16 +45,14 @@ def images_among(directories: Sequence[Directory]) -> list[int]:
 
     Pages that say so are no images, and pages of no more than a fourth of the pixels of the largest.
 
-    Examples
-    --------
     >>> images_among([Directory(0, 160, 120), Directory(0, 4000, 3000), Directory(1, 2000, 1500)])
     [1]
     """
     plain = [i for i, one in enumerate(directories) if not one.kind & (REDUCED | MASK)]
     most = max((directories[i].pixels for i in plain), default=0)
     images = [i for i in plain if PREVIEW * directories[i].pixels > most] or plain
-    first = next((i for i in images if directories[i].spectral), None)
-    return images if first is None else [i for i in images if i >= first]
+    first = next((i for i in images if directories[i].spectral), 0)
+    return [i for i in images if i >= first]
 
 
 def directories_of(path: Path) -> list[Directory]:
@@ -75,23 +67,21 @@ def directories_of(path: Path) -> list[Directory]:
         big = _unpacked(path, handle, order + "H") == 43
         handle.seek(8 if big else 4)
         offset = _unpacked(path, handle, order + ("Q" if big else "I"))
-        found: list[Directory] = []
-        visited: set[int] = set()
+        found: dict[int, Directory] = {}
         walked = 0
         while offset:
-            expected = f"below {size}"
+            field = "next directory"
             if offset >= size:
-                message = "the file is truncated"
-                raise truncated(path, message, "next directory", f"byte {offset}", expected)
-            # Directories stand side by side: laid over one another, each costs a reader as much
-            # of the file again.
-            if offset in visited or walked > size:
-                raise unreadable(
-                    path,
+                message, at = "the file is truncated", f"byte {offset}"
+                raise truncated(path, message, field, at, f"below {size}")
+            # Directories stand side by side: laid over one another, each costs a reader as much of the file again.
+            if offset in found or walked > size:
+                message, expected = (
                     "the pages of the TIFF form a loop or overlap",
-                    field="next directory",
-                    found=f"byte {offset}",
-                    expected="an unused part of the file",
+                    "an unused part of the file",
+                )
+                raise unreadable(
+                    path, message, field=field, found=f"byte {offset}", expected=expected
                 )
             if len(found) >= MOST_PAGES:
                 raise unreadable(
@@ -103,12 +93,10 @@ def directories_of(path: Path) -> list[Directory]:
                     expected=f"at most {MOST_PAGES}",
                     fix="Save the frames in several files.",
                 )
-            visited.add(offset)
-            directory, following = _directory(path, handle, offset, order, big)
+            found[offset], following = _directory(path, handle, offset, order, big)
             walked += handle.tell() - offset
             offset = following
-            found.append(directory)
-    return found
+    return list(found.values())
 
 
 def _directory(
@@ -118,28 +106,23 @@ def _directory(
     handle.seek(offset)
     count = _unpacked(path, handle, order + ("Q" if big else "H"))
     if not 0 < count <= MOST_TAGS:
-        raise unreadable(
-            path,
-            "a directory of the TIFF is damaged",
-            field="number of tags",
-            found=f"{count} tags",
-            expected=f"1 to {MOST_TAGS}",
-        )
+        message, expected = "a directory of the TIFF is damaged", f"1 to {MOST_TAGS}"
+        field, found = "number of tags", f"{count} tags"
+        raise unreadable(path, message, field=field, found=found, expected=expected)
     entry = struct.Struct(order + ("HHQQ" if big else "HHII"))
     data = handle.read(count * entry.size)
     if len(data) < count * entry.size:
         raise _cut(path, handle)
-    stored = {code: (form, value) for code, form, _, value in entry.iter_unpack(data)}
+    tags = {code: (form, value) for code, form, _, value in entry.iter_unpack(data)}
 
     def number(code: int) -> int:
-        form, value = stored.get(code, (0, 0))
+        form, value = tags.get(code, (0, 0))
         room = 64 if big else 32
         wide = min(BITS.get(form, room), room)
         # A value stands left in its field: a SHORT has to be read as one.
         return int(value >> (room - wide) if order == ">" else value & ((1 << wide) - 1))
 
-    sizes = number(SUBFILE_TYPE), number(WIDTH), number(LENGTH)
-    directory = Directory(*sizes, WAVELENGTHS in stored)
+    directory = Directory(number(SUBFILE_TYPE), number(WIDTH), number(LENGTH), WAVELENGTHS in tags)
     return directory, _unpacked(path, handle, order + ("Q" if big else "I"))
 
 
@@ -154,3 +137,33 @@ def _cut(path: Path, handle: BinaryIO) -> Exception:
     message, size = "the file ends inside a directory of the TIFF", handle.seek(0, 2)
     expected = "all tags of the page, and where the next one is"
     return truncated(path, message, "directory", f"{size} bytes", expected)
+
+
+# --- values of tags, of files that may be damaged: no pixel depends on them ----------------------
+
+
+def value_of(tags: Any, name: str | int) -> Any:
+    """Return a tag's value, None where it is absent or cannot be read."""
+    try:
+        if isinstance(name, str):  # for which tifffile would look through all tags
+            from tifffile import TIFF
+
+            name = next((code for code in TIFF.TAGS.getall(name, []) if code in tags), -1)
+        return tags[name].value if name in tags else None
+    except Exception:  # a damaged directory leads tifffile to many kinds of errors
+        return None
+
+
+def numbers_of(tags: Any, name: str | int) -> tuple[float, ...]:
+    """Return a tag's finite numbers, rationals divided; none where it holds text, or nothing."""
+    value = value_of(tags, name)
+    if value is None or isinstance(value, str | bytes):
+        return ()
+    try:
+        numbers = [float(v) for v in np.atleast_1d(np.asarray(value, float)).ravel()]
+    except (TypeError, ValueError):
+        return ()
+    if int(tags[name].dtype) in RATIONAL:
+        pairs = zip(numbers[::2], numbers[1::2], strict=False)
+        numbers = [top / bottom for top, bottom in pairs if bottom]
+    return tuple(n for n in numbers if isfinite(n))

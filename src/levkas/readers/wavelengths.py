@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 RANGE_NM = (150.0, 20_000.0)
 """Of cameras that see reflected light: vacuum ultraviolet, which air absorbs, to thermal infrared. Centres beyond are in
@@ -36,16 +36,11 @@ _NAMED = re.compile(
 LONGEST_NAME = 400
 
 
-@dataclass(frozen=True)
-class Centres:
+class Centres(NamedTuple):
     """Wavelengths of bands, in nm, or why there are none.
 
-    Parameters
-    ----------
-    note : str
-        In which unit they were taken, where that is not the one that the file states.
-    unclear : str
-        What the file states that cannot be wavelengths.
+    `note`: in which unit they were taken, where that is not the one that the file states; `unclear`: what it states that
+    cannot be wavelengths.
     """
 
     nm: tuple[float, ...] | None = None
@@ -57,25 +52,11 @@ class Centres:
 def read_centres(
     values: Sequence[float], unit: str = "", fwhm: Sequence[float] | None = None
 ) -> Centres:
-    """Bring wavelengths and widths of bands to nanometres.
+    """Bring wavelengths and widths of bands to nanometres: in the stated unit where all centres lie within 150 to 20,000 nm.
 
-    Parameters
-    ----------
-    values : sequence of float
-        As the file has them.
-    unit : str
-        As the file has it; empty where it has none.
-    fwhm : sequence of float, optional
-        In the same unit.
+    Else, and without a unit, they are nanometres or micrometres: no number lies in that range by both. Bands that are
+    numbered have none.
 
-    Returns
-    -------
-    centres : Centres
-        In the stated unit where all centres lie within 150 to 20,000 nm. Else, and without a unit, in nanometres
-        or micrometres: no number lies in that range by both. No wavelengths of bands that are numbered.
-
-    Examples
-    --------
     >>> read_centres([0.4, 1.0], "Nanometers")
     Centres(nm=(400.0, 1000.0), fwhm=None, note='wavelengths of 0.4 to 1 Nanometers are taken as micrometres', unclear='')
     >>> read_centres([25_000, 10_000], "Wavenumber").nm, read_centres([0.05, 0.09], "nm").unclear
@@ -107,8 +88,6 @@ def centres_in_names(names: Sequence[str]) -> tuple[float, ...] | None:
 
     Numbers behind a slash or dash are widths, or ends of ranges, and are none.
 
-    Examples
-    --------
     >>> centres_in_names(["Band 1 (400.0 nm)", "Band 2 (0.55 µm)"])
     (400.0, 550.0)
     >>> centres_in_names(["450", "550"]), centres_in_names(["525/50 nm", "600 nm"]), centres_in_names(["1", "2"])

@@ -1,8 +1,9 @@
-"""PNG and JPEG captures."""
+"""PNG and JPEG captures: what their headers state, and the tone curves of pictures; pixels are decoded by `decoder`."""
 
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from math import prod
@@ -11,13 +12,12 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from levkas.readers.encoding import gamma_of_png
+from levkas.readers.decoder import decode
 from levkas.readers.exif import read_exif
 from levkas.readers.facts import (
     Facts,
     check_expansion,
     check_memory,
-    check_ratio,
     check_size,
     decoding,
     truncated,
@@ -29,18 +29,45 @@ PNG_SAMPLES = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
 """Samples that count, by colour type: palettes become colours, alpha is dropped."""
 WITH_ALPHA = (4, 6)
 ALPHA = "an alpha channel (transparency) is not used"
-DEFLATE_RATIO = 1040
 LONGEST_CHUNK = 64 << 20
 READ_CHUNKS = (b"IHDR", b"sBIT", b"eXIf", b"gAMA", b"sRGB", b"iCCP")
 JPEG = b"\xff\xd8\xff"
-SCAN, END = b"\xff\xda", b"\xff\xd9"
-JPEG_RATIO = 4000
+SCAN = b"\xff\xda"
 JPEG_EXPANSION = 150
 """Bytes of a large JPEG from one stored byte; one even colour is 200 to 1, a painting before black less than 100."""
-MOST_SCANS = 64
-"""Scans of a progressive JPEG; encoders write about ten, and each goes through the whole image."""
-JPEG_CODES = (6, 7, 33007)
-"""Of the TIFF tag Compression."""
+LINEAR = 0.02
+"""By which a gamma, or the middle of a curve, may differ from 1, or from a half, and count as linear."""
+LONGEST_PROFILE = 4 << 20
+CURVES = (b"rTRC", b"gTRC", b"bTRC", b"kTRC")
+
+
+def read_png(path: Path) -> np.ndarray:
+    """Decode a PNG, (h, w) or (h, w, 3), uint8 or uint16; every chunk's checksum is verified."""
+    return _decoded(path, read_png_facts(path))
+
+
+def read_jpeg(path: Path) -> np.ndarray:
+    """Decode a JPEG, (h, w) or (h, w, 3) red, green, blue, uint8; what is cut short is refused.
+
+    Damage inside the coded data cannot be distinguished from an image: JPEG has no checksum.
+    """
+    with decoding(path, "JPEG"):
+        facts, scan = _jpeg_header(path)
+    return _decoded(path, facts, scan=scan)
+
+
+def _decoded(path: Path, facts: Facts, **request: Any) -> np.ndarray:
+    samples, itemsize = prod(facts.shape), np.dtype(facts.dtype).itemsize
+    check_memory(path, samples, itemsize)
+    # Four samples a pixel, where there is alpha or one is grey.
+    needed = 4 * itemsize * prod(facts.shape[:2])
+    _, values = decode(path, facts.kind, expected="a whole image", needed=needed, **request)
+    if values.ndim == 3:
+        values = values[..., 0] if len(facts.shape) == 2 else values[..., :3]
+    if values.shape != facts.shape or values.dtype != facts.dtype:
+        found = f"{values.shape} {values.dtype}"
+        raise unreadable(path, "the image does not match its header", found=found)
+    return np.ascontiguousarray(values)
 
 
 # --- PNG --------------------------------------------------------------------------------------
@@ -49,8 +76,6 @@ JPEG_CODES = (6, 7, 33007)
 def read_png_facts(path: Path) -> Facts:
     """Return size, depth and, where an eXIf chunk has them, exposure and date; no pixel is decoded.
 
-    Notes
-    -----
     sBIT holds the bits of a sample before it was scaled to the stored depth, so the sensor is full at
     (2^sBIT − 1) · 2^(depth − sBIT): 65520, not 4095, for 12 bits in 16.
     """
@@ -68,7 +93,6 @@ def read_png_facts(path: Path) -> Facts:
     samples, itemsize = PNG_SAMPLES[colour], max(depth // 8, 1)
     shape = (height, width) if samples == 1 else (height, width, 3)
     check_size(path, shape)
-    check_ratio(path, prod(shape) * itemsize, stored, ratio=DEFLATE_RATIO)
     check_expansion(path, prod(shape), itemsize, stored)
     full = max(depth, 8)
     bits = min(chunks.get(b"sBIT", b"")[:samples], default=full)
@@ -88,30 +112,6 @@ def read_png_facts(path: Path) -> Facts:
     )
 
 
-def read_png(path: Path) -> np.ndarray:
-    """Decode a PNG, (h, w) or (h, w, 3), uint8 or uint16; every chunk's checksum is verified."""
-    import imagecodecs
-
-    facts = read_png_facts(path)
-    check_memory(path, prod(facts.shape), np.dtype(facts.dtype).itemsize)
-    with decoding(path, "PNG"):
-        data = path.read_bytes()
-        if b"IEND" not in data[-4096:]:
-            message, expected = "the file is truncated", "an IEND chunk at the end"
-            raise truncated(path, message, "IEND", f"{len(data)} bytes", expected)
-        values = np.asarray(imagecodecs.png_decode(data))
-    if values.ndim == 3:
-        values = values[..., 0] if len(facts.shape) == 2 else values[..., :3]
-    return _as_declared(path, values, facts)
-
-
-def _as_declared(path: Path, values: np.ndarray, facts: Facts) -> np.ndarray:
-    if values.shape != facts.shape or values.dtype != facts.dtype:
-        found = f"{values.shape} {values.dtype}"
-        raise unreadable(path, "the image does not match its header", found=found)
-    return np.ascontiguousarray(values)
-
-
 def _png_chunks(path: Path) -> tuple[bytes, dict[bytes, bytes], int]:
     """Return the header, the small chunks before the first pixel, and the size of the file."""
     wanted: dict[bytes, bytes] = {}
@@ -119,7 +119,7 @@ def _png_chunks(path: Path) -> tuple[bytes, dict[bytes, bytes], int]:
         size = handle.seek(0, 2)
         handle.seek(len(PNG))
         head = b""
-        while (start := handle.read(8)) and len(start) == 8:
+        while len(start := handle.read(8)) == 8:
             length, name = struct.unpack(">I4s", start)
             if name == b"IDAT" and head:
                 return head, wanted, size
@@ -128,9 +128,8 @@ def _png_chunks(path: Path) -> tuple[bytes, dict[bytes, bytes], int]:
             if name in READ_CHUNKS and length < LONGEST_CHUNK:
                 wanted[name] = handle.read(length)
                 head = wanted[b"IHDR"] if len(wanted[b"IHDR"]) == 13 else b""
-                handle.seek(4, 1)
-            else:
-                handle.seek(length + 4, 1)
+                length = 0
+            handle.seek(length + 4, 1)
     field, expected = "IDAT" if head else "IHDR", "an IHDR chunk first, then pixels in IDAT"
     raise truncated(path, "the file is truncated", field, f"{size} bytes", expected)
 
@@ -144,42 +143,13 @@ def read_jpeg_facts(path: Path) -> Facts:
         return _jpeg_header(path)[0]
 
 
-def read_jpeg(path: Path) -> np.ndarray:
-    """Decode a JPEG, (h, w) or (h, w, 3) red, green, blue, uint8.
-
-    Damage inside the coded data cannot be distinguished from an image: JPEG has no checksum. What is cut
-    short is refused.
-    """
-    import imagecodecs
-
-    with decoding(path, "JPEG"):
-        facts, scan = _jpeg_header(path)
-        check_memory(path, prod(facts.shape), 1)
-        data = path.read_bytes()
-        if data.rfind(END) < scan:
-            expected = "an end-of-image marker after the scan"
-            message = "the file is truncated"
-            raise truncated(path, message, "scan", f"{len(data)} bytes", expected)
-        if (scans := data.count(SCAN, scan - 4)) > MOST_SCANS:
-            raise unreadable(
-                path,
-                "the JPEG has too many scans to be a photograph",
-                code="E_SIZE",
-                field="scan",
-                found=f"{scans} scans",
-                expected=f"at most {MOST_SCANS}",
-                fix="Save it again as a plain JPEG or a PNG.",
-            )
-        return _as_declared(path, np.asarray(imagecodecs.jpeg8_decode(data)), facts)
-
-
 def _jpeg_header(path: Path) -> tuple[Facts, int]:
     """Return the facts and where the first scan begins."""
     exif, frame = b"", None
     with path.open("rb") as handle:
         size = handle.seek(0, 2)
         for marker, content in jpeg_segments(handle):
-            if marker == 0xDA and frame:
+            if marker == SCAN[1] and frame:
                 return _jpeg_facts(path, frame, exif, size), handle.tell()
             if marker == 0xE1 and content.startswith(b"Exif\0\0"):
                 exif = exif or content[6:]
@@ -201,7 +171,6 @@ def _jpeg_facts(path: Path, frame: tuple[int, int, int, int], exif: bytes, size:
         )
     shape = (height, width) if samples == 1 else (height, width, 3)
     check_size(path, shape)
-    check_ratio(path, prod(shape), size, ratio=JPEG_RATIO)
     check_expansion(path, prod(shape), 1, size, most=JPEG_EXPANSION)
     more = read_exif(BytesIO(exif)) if exif else {}
     return Facts(path=path, kind="jpeg", shape=shape, dtype="uint8", bits=8, encoded="JPEG", **more)
@@ -234,12 +203,47 @@ def jpeg_frame(marker: int, content: bytes) -> tuple[int, int, int, int] | None:
     return bits, height, width, components
 
 
-def jpeg_size(data: bytes) -> tuple[int, int]:
-    """Return the samples and scans that a strip of JPEG declares; 0 samples without a header.
+# --- tone curves ------------------------------------------------------------------------------
 
-    >>> jpeg_size(bytes.fromhex("ffd8 ffc0 000b 08 0010 0020 01 011100"))
-    (512, 0)
+
+def gamma_of_png(chunks: dict[bytes, bytes]) -> str | None:
+    """Return the tone curve that the chunks of a PNG state, None where it is linear or they state none.
+
+    >>> gamma_of_png({b"gAMA": (45455).to_bytes(4)}), gamma_of_png({b"gAMA": (100000).to_bytes(4)})
+    ('gamma 0.455', None)
     """
-    frames = (jpeg_frame(*segment) for segment in jpeg_segments(BytesIO(data)))
-    samples = max((prod(frame[1:]) for frame in frames if frame), default=0)
-    return samples if data.startswith(b"\xff\xd8") else 0, data.count(SCAN)
+    if b"iCCP" in chunks:
+        name, _, packed = chunks[b"iCCP"].partition(b"\0")
+        try:
+            profile = zlib.decompressobj().decompress(packed[1:], LONGEST_PROFILE)
+        except zlib.error:
+            profile = b""
+        return f"the profile {name.decode('latin-1')[:60]}" if has_curve(profile) else None
+    if b"sRGB" in chunks:
+        return "sRGB"
+    gamma = int.from_bytes(chunks.get(b"gAMA", b"")[:4]) / 1e5
+    return f"gamma {gamma:.3g}" if gamma and abs(gamma - 1) > LINEAR else None
+
+
+def has_curve(profile: bytes) -> bool:
+    """Whether an ICC profile has a tone curve that is not a straight line; not of one without any."""
+    count = int.from_bytes(profile[128:132])
+    for at in range(132, min(len(profile) - 11, 132 + 12 * min(count, 100)), 12):
+        name, start, size = struct.unpack_from(">4sII", profile, at)
+        if name in CURVES and _is_curved(profile[start : start + size]):
+            return True
+    return False
+
+
+def _is_curved(curve: bytes) -> bool:
+    """Whether a `curv` or `para` element is not a straight line, ICC.1:2010, 10.5 and 10.15."""
+    kind, count, rest = curve[:4], int.from_bytes(curve[8:12]), curve[12:]
+    if kind == b"para":
+        return abs(int.from_bytes(rest[:4], signed=True) / 65536 - 1) > LINEAR
+    if kind != b"curv" or len(rest) < 2 * count:
+        return False
+    if count == 1:
+        return abs(int.from_bytes(rest[:2]) / 256 - 1) > LINEAR
+    middle = (count - 1) // 2
+    value = int.from_bytes(rest[2 * middle : 2 * middle + 2]) / 65535
+    return count > 2 and abs(value - middle / (count - 1)) > LINEAR
