@@ -1,22 +1,21 @@
 """Control points that people set: our own CSV, landmarks of BigWarp and points of the QGIS georeferencer.
 
-Pixel centres are integers here, and y points down, as in BigWarp. QGIS counts from the corner of the first pixel, y upwards:
-its centre is (0.5, -0.5). Taking one for the other moves a picture by half a pixel; between two cameras of a
-different sampling the half pixels do not even cancel: 0.5 px of a 3900 px wide picture and 0.5 px of
-a 1392 px wide one differ by 0.5·(1 − 1392/3900) = 0.32 px of the reference.
+Pixel centres are integers here, and y points down, as in BigWarp. QGIS counts from the corner of the first pixel, y upwards: its centre is
+(0.5, -0.5). Taking one for the other moves a picture by half a pixel; between two cameras of a different sampling the half pixels do not
+even cancel: 0.5 px of a 3900 px wide picture and 0.5 px of a 1392 px wide one differ by 0.5·(1 − 1392/3900) = 0.32 px of the reference.
 
-*Our CSV*: ``reference_x,reference_y,x,y,enabled,check``. Only the four coordinates are required; columns may stand in any
-order and others are passed over.
+*Our CSV*: ``reference_x,reference_y,x,y,enabled,check``. Only the four coordinates are required; columns may stand in any order and
+others are passed over. With ``object``, ``camera`` and ``band`` it is a table of several frames.
 
-*BigWarp* (Fiji): CSV without a header, every cell in quotes: name, active, moving x, y, fixed x, y; a volume has z after each y. Some
-builds put an integer id after `active`. Coordinates are physical units of the picture, which is pixels where it has
-no calibration, with the centre of the first pixel at 0 (ImgLib2). A point that was set in one picture
-only has ``Infinity`` in the other and is left out. Source: ``LandmarkTableModel`` of https://github.com/saalfeldlab/bigwarp.
+*BigWarp* (Fiji): CSV without a header, every cell in quotes: name, active, moving x, y, fixed x, y; a volume has z after each y. Some builds
+put an integer id after `active`. Coordinates are physical units of the picture, which is pixels where it has no calibration, with the
+centre of the first pixel at 0 (ImgLib2). A point that was set in one picture only has ``Infinity`` in the other and is left out. Source:
+``LandmarkTableModel`` of https://github.com/saalfeldlab/bigwarp.
 
-*QGIS* (`.points`), versions 2 and 3: a line ``#CRS: …`` (since 3.24), a header ``mapX,mapY,sourceX,sourceY,enable,dX,dY,residual``
-(before 3.24 ``pixelX,pixelY``), then a row a point.
-The source is the picture to register, in pixels whose corners are integers, rows negative; the map is the reference, with the same
-frame. A file whose map is a land survey is refused. Sources: https://github.com/qgis/QGIS/pull/46415 and /issues/33607.
+*QGIS* (`.points`), versions 2 and 3: a line ``#CRS: …`` (since 3.24), a header ``mapX,mapY,sourceX,sourceY,enable,dX,dY,residual`` (before 3.24
+``pixelX,pixelY``), then a row a point. The source is the picture to register, in pixels whose corners are integers, rows negative; the
+map is the reference, with the same frame. A file whose map is a land survey is refused. Sources: https://github.com/qgis/QGIS/pull/46415
+and /issues/33607.
 """
 
 from __future__ import annotations
@@ -37,21 +36,33 @@ from levkas.core.text import LARGEST_TABLE, TextRefused, check_file
 
 PLACES = ("reference_x", "reference_y", "x", "y")
 FRAME = ("object", "camera", "band")
-MOST_POINTS = 100_000
-LARGEST_COORDINATE = 1e7
-#: Characters of a row; bytes of a line, where a reference system in a comment may be long.
+MOST_POINTS, MOST_FRAMES, LARGEST_COORDINATE = 100_000, 5000, 1e7
+"""Points of a file, and frames of a table, each of which is read by itself; px."""
 LONGEST_LINE, LONGEST_TEXT_LINE = 4096, 4 * 4096
-#: Of a file, empty ones and comments counted: they bound the work of reading it.
+"""Characters of a row; bytes of a line, where a reference system in a comment may be long."""
 MOST_LINES = 4 * MOST_POINTS
-BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+"""Of a file, empty ones and comments counted: they bound the work of reading it."""
+QGIS_SCALE, QGIS_CENTRE = (1.0, -1.0), (0.5, -0.5)
+"""Of x and y, and where the centre of the first pixel lies."""
+BIGWARP_COLUMNS = {6: (2, 2), 7: (3, 2), 8: (2, 3), 9: (3, 3)}
+"""Columns of a row → where its coordinates begin, and of how many dimensions they are."""
+
+Frame = tuple[str, str, str]
+"""(object, CAMERA or CAMERA@SETUP, band; empty for the camera's reference channel)"""
+Table = list[list[str]]
 
 
 class PointsRefused(Refused):
     """Control points that cannot be read, written or used."""
 
 
-def _refused(code: str, message: str, *details: Any, **named: Any) -> PointsRefused:
-    return PointsRefused(Problem(code, message, *details, **named))
+def _refused(code: str, message: str, **named: Any) -> PointsRefused:
+    return PointsRefused(Problem(code, message, **named))
+
+
+def _unreadable(found: str, expected: str) -> PointsRefused:
+    message = "control points cannot be read"
+    return _refused("E_UNREADABLE", message, found=found[:200], expected=expected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,30 +87,29 @@ class ControlPoints:
     """(n,). A check point measures and never fits."""
 
     def __post_init__(self) -> None:
-        reference, target = (_pairs(v) for v in (self.reference, self.target))
-        n = len(reference)
         columns = {
-            "reference": reference,
-            "target": target,
-            "enabled": _column(self.enabled, n, True),
-            "check": _column(self.check, n, False),
+            name: np.array(getattr(self, name), np.float64).reshape(-1, 2)
+            for name in ("reference", "target")
         }
+        n = len(columns["reference"])
+        for name, default in (("enabled", True), ("check", False)):
+            given = getattr(self, name)
+            columns[name] = np.full(n, default) if given is None else np.array(given, bool).ravel()
         if n > MOST_POINTS or any(len(value) != n for value in columns.values()):
             found = ", ".join(f"{len(value)} {name}" for name, value in columns.items())
             expected = f"as many of each, at most {MOST_POINTS}"
             raise _refused("E_SIZE", "points do not pair up", found=found, expected=expected)
-        for name in ("reference", "target"):
-            wrong = ~np.all(np.abs(columns[name]) <= LARGEST_COORDINATE, axis=1)
+        for name, value in columns.items():
+            wrong = ~np.all(np.abs(value) <= LARGEST_COORDINATE, axis=tuple(range(1, value.ndim)))
             if wrong.any():
                 row = int(wrong.argmax())
                 raise _refused(
                     "E_VALUE",
                     f"point {row + 1} is not a valid position",
                     field=name,
-                    found=columns[name][row].tolist(),
+                    found=value[row].tolist(),
                     expected=f"finite numbers up to {LARGEST_COORDINATE:.0f}",
                 )
-        for name, value in columns.items():
             value.flags.writeable = False
             object.__setattr__(self, name, value)
 
@@ -107,205 +117,15 @@ class ControlPoints:
         return len(self.reference)
 
 
-def _pairs(values: object) -> np.ndarray:
-    return np.array(values, np.float64).reshape(-1, 2)
+# --- files, each refused where it stands
 
 
-def _column(values: Any, n: int, default: bool) -> np.ndarray:
-    return np.full(n, default) if values is None else np.array(values, bool).reshape(-1)
-
-
-# --- text files, each refused where it stands
-
-
-def check_lines(data: bytes) -> None:
-    """Refuse more lines than a file of points can need; raises PointsRefused."""
-    if (lines := data.count(b"\n")) > MOST_LINES:
-        raise unreadable(f"{lines} lines", f"at most {MOST_LINES}")
-
-
-def decode(data: bytes) -> str:
-    """Return a text in UTF-8, with or without a mark of its byte order.
-
-    Raises PointsRefused where it is none, or has too many lines, or one that is too long.
-    """
-    check_lines(data)
-    if (longest := max(map(len, data.split(b"\n")))) > LONGEST_TEXT_LINE:
-        raise unreadable(f"a line of {longest} bytes", f"lines of at most {LONGEST_TEXT_LINE}")
+def read_points(path: str | Path) -> ControlPoints:
+    """Read control points from a file of any program; raises PointsRefused with the file."""
     try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise unreadable(str(error), "text in UTF-8") from error
-
-
-def rows(text: str) -> list[list[str]]:
-    """Split a table into its rows that hold anything.
-
-    Raises PointsRefused where a line is too long, or there are more rows than points may be.
-    """
-    table: list[list[str]] = []
-    try:
-        for row in csv.reader(io.StringIO(text, newline="")):
-            if len(table) > MOST_POINTS + 100:
-                raise unreadable("more rows", f"at most {MOST_POINTS} points")
-            if sum(map(len, row)) > LONGEST_LINE and not row[0].startswith("#"):
-                raise unreadable(
-                    f"{sum(map(len, row))} characters", f"lines of at most {LONGEST_LINE}"
-                )
-            if any(cell.strip() for cell in row):
-                table.append(row)
-    except csv.Error as error:
-        raise unreadable(str(error), "a table") from error
-    return table
-
-
-def number(cell: str, where: str) -> float:
-    """Read one finite number; `where` says which, for the refusal."""
-    try:
-        value = float(cell)
-    except ValueError:
-        value = float("nan")
-    if not isfinite(value):
-        raise unreadable(f"{cell[:40]!r} in {where}", "a finite number")
-    return value
-
-
-def flag(cell: str) -> bool:
-    """Read a switch: everything but 0, false, no and nothing is on."""
-    return cell.strip().lower() not in ("0", "0.0", "false", "no", "off", "")
-
-
-def unreadable(found: str, expected: str) -> PointsRefused:
-    """Return the refusal of a file that does not hold what it should."""
-    return _refused(
-        "E_UNREADABLE", "control points cannot be read", found=found[:200], expected=expected
-    )
-
-
-# --- the three kinds of file
-
-
-def _read_table(data: bytes) -> ControlPoints:
-    return _of_rows(rows(decode(data)))
-
-
-def _of_rows(table: list[list[str]]) -> ControlPoints:
-    """Read the rows of our CSV, its header first."""
-    head = [cell.strip() for cell in table[0]] if table else []
-    if not set(PLACES) <= set(head):
-        raise unreadable(",".join(head)[:80] or "nothing", ",".join(PLACES))
-    body = table[1:]
-    short = next((i for i, row in enumerate(body, start=2) if len(row) < len(head)), None)
-    if short is not None:
-        raise unreadable(f"too few columns in row {short}", f"{len(head)}")
-    cells = {name: [row[i] for row in body] for i, name in enumerate(head)}
-    x, y, u, v = ([number(c, name) for c in cells[name]] for name in PLACES)
-    return ControlPoints(
-        list(zip(x, y, strict=True)),
-        list(zip(u, v, strict=True)),
-        *([flag(c) for c in cells[n]] if n in cells else None for n in ("enabled", "check")),
-    )
-
-
-def format_points(points: ControlPoints) -> bytes:
-    """Return our CSV; floats are written so that they are read back as they were."""
-    lines = [",".join((*PLACES, "enabled", "check"))]
-    for place, other, on, check in zip(
-        points.reference.tolist(), points.target.tolist(), points.enabled, points.check, strict=True
-    ):
-        lines.append(",".join(map(str, (*place, *other, int(on), int(check)))))
-    return ("\n".join(lines) + "\n").encode()
-
-
-BIGWARP_COLUMNS = {6: (2, False), 7: (2, True), 8: (3, False), 9: (3, True)}
-
-
-def _is_bigwarp(data: bytes) -> bool:
-    first = next(iter(rows(decode(data[:4096].rpartition(b"\n")[0] or data[:4096]))), [])
-    return len(first) in BIGWARP_COLUMNS and first[1].strip().lower() in ("true", "false")
-
-
-def _read_bigwarp(data: bytes) -> ControlPoints:
-    """Read landmarks; moving is the target, fixed the reference."""
-    found, enabled = [], []
-    for line, row in enumerate(rows(decode(data)), start=1):
-        if len(row) not in BIGWARP_COLUMNS:
-            raise unreadable(f"{len(row)} columns in line {line}", "6 (plane) or 8 (volume)")
-        ndim, has_id = BIGWARP_COLUMNS[len(row)]
-        cells = row[3:] if has_id else row[2:]
-        if any("infinity" in cell.lower() for cell in cells):
-            continue
-        values = [number(cell, f"line {line}") for cell in cells]
-        found.append([*values[:2], *values[ndim : ndim + 2]])
-        enabled.append(flag(row[1]))
-    return ControlPoints([v[2:] for v in found], [v[:2] for v in found], enabled)
-
-
-QGIS_SCALE, QGIS_CENTRE = (1.0, -1.0), (0.5, -0.5)
-"""Of x and y, and where the centre of the first pixel lies."""
-
-
-def _is_qgis(data: bytes) -> bool:
-    start = data[:4096].removeprefix(BYTE_ORDER_MARK)
-    return start.startswith(b"#CRS") or is_header(start, ("mapX", "mapY"))
-
-
-def _read_qgis(data: bytes) -> ControlPoints:
-    """Read points; source is the target, map the reference."""
-    lines = decode(data).splitlines()
-    surveyed = any(re.match(r"#CRS:\s*\S", line) for line in lines[:1])
-    _, *table = rows("\n".join(line for line in lines if not line.startswith("#"))) or [[]]
-    values, enabled = [], []
-    for line, row in enumerate(table, start=1):
-        if len(row) < 4:
-            raise unreadable(
-                f"{len(row)} columns in row {line}", "at least mapX,mapY,sourceX,sourceY"
-            )
-        values.append([number(cell, f"row {line}") for cell in row[:4]])
-        enabled.append(flag(row[4]) if len(row) > 4 else True)
-    place = np.array(values, float).reshape(-1, 4)
-    if surveyed and len(place) and (place[:, 1] > 0).all():
-        raise unreadable(
-            "a map with a reference system of the earth", "a reference picture without georeference"
-        )
-    reference, target = ((part - QGIS_CENTRE) * QGIS_SCALE for part in (place[:, :2], place[:, 2:]))
-    return ControlPoints(reference, target, enabled)
-
-
-KINDS = {
-    "levkas": (lambda data: is_header(data, PLACES), _read_table),
-    "bigwarp": (_is_bigwarp, _read_bigwarp),
-    "qgis": (_is_qgis, _read_qgis),
-}
-"""Program → whether a file is its, and how it is read."""
-
-
-def is_header(data: bytes, names: Collection[str]) -> bool:
-    """Return whether the first line of a file names these columns."""
-    first = data[:4096].removeprefix(BYTE_ORDER_MARK).split(b"\n")[0].decode("utf-8", "replace")
-    return set(names) <= {cell.strip().strip('"') for cell in first.split(",")}
-
-
-def sniff(data: bytes) -> str:
-    """Return the program, a key of `KINDS`, of a file from its content; raises PointsRefused where it is of none.
-
-    >>> sniff(b'"Pt-0","true","1","2","3","4"\\n')
-    'bigwarp'
-    """
-    check_lines(data)
-    for name, (recognises, _) in KINDS.items():
-        try:
-            if recognises(data):
-                return name
-        except PointsRefused:
-            continue
-    raise _refused(
-        "E_UNREADABLE",
-        "the format of these control points is unknown",
-        found=repr(data[:40].decode("utf-8", "replace").splitlines()[:1])[1:-1] or "nothing",
-        expected="a CSV of Levkas or BigWarp, or points of QGIS",
-        fix="Write a CSV with the columns reference_x,reference_y,x,y; the centre of the first pixel is 0, 0.",
-    )
+        return parse_points(_bytes(Path(path)))
+    except PointsRefused as refused:
+        raise _in_file(refused, path) from None
 
 
 def parse_points(data: bytes) -> ControlPoints:
@@ -317,15 +137,136 @@ def parse_points(data: bytes) -> ControlPoints:
             found=f"{len(data) >> 20} MiB",
             expected=f"at most {LARGEST_TABLE >> 20} MiB",
         )
-    return KINDS[sniff(data)][1](data)
+    return KINDS[sniff(data)](_rows(data))
 
 
-def read_points(path: str | Path) -> ControlPoints:
-    """Read control points from a file of any program; raises PointsRefused with the file."""
+def sniff(data: bytes) -> str:
+    """Return the program, a key of `KINDS`, of a file from its first lines; raises PointsRefused where it is of none.
+
+    >>> sniff(b'"Pt-0","true","1","2","3","4"\\n')
+    'bigwarp'
+    """
+    start = data[:4096].removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
+    lines = [line for line in start.splitlines() if line.strip()]
     try:
-        return parse_points(_bytes(Path(path)))
-    except PointsRefused as refused:
-        raise _in_file(refused, path) from None
+        first = next(csv.reader(lines), [])
+    except csv.Error:
+        first = []
+    names = {cell.strip() for cell in first}
+    if set(PLACES) <= names:
+        return "levkas"
+    if start.startswith("#CRS") or {"mapX", "mapY"} <= names:
+        return "qgis"
+    if len(first) in BIGWARP_COLUMNS and first[1].strip().lower() in ("true", "false"):
+        return "bigwarp"
+    raise _refused(
+        "E_UNREADABLE",
+        "the format of these control points is unknown",
+        found=repr(start[:40].splitlines()[:1])[1:-1] or "nothing",
+        expected="a CSV of Levkas or BigWarp, or points of QGIS",
+        fix="Write a CSV with the columns reference_x,reference_y,x,y; the centre of the first pixel is 0, 0.",
+    )
+
+
+def _rows(data: bytes) -> Table:
+    """Split a table in UTF-8 into its rows that hold anything; refuse what no file of points can need."""
+    if (lines := data.count(b"\n")) > MOST_LINES:
+        raise _unreadable(f"{lines} lines", f"at most {MOST_LINES}")
+    if (longest := max(map(len, data.split(b"\n")))) > LONGEST_TEXT_LINE:
+        raise _unreadable(f"a line of {longest} bytes", f"lines of at most {LONGEST_TEXT_LINE}")
+    table: Table = []
+    try:
+        for row in csv.reader(io.StringIO(data.decode("utf-8-sig"), newline="")):
+            length = sum(map(len, row))
+            if len(table) > MOST_POINTS + 100:
+                raise _unreadable("more rows", f"at most {MOST_POINTS} points")
+            if length > LONGEST_LINE and not row[0].startswith("#"):
+                raise _unreadable(f"{length} characters", f"lines of at most {LONGEST_LINE}")
+            if any(cell.strip() for cell in row):
+                table.append(row)
+    except UnicodeDecodeError as error:
+        raise _unreadable(str(error), "text in UTF-8") from error
+    except csv.Error as error:
+        raise _unreadable(str(error), "a table") from error
+    return table
+
+
+def _number(cell: str, where: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise _unreadable(f"{cell[:40]!r} in {where}", "a finite number")
+    return value
+
+
+def _flag(cell: str) -> bool:
+    """Read a switch: everything but 0, false, no, off and nothing is on."""
+    return cell.strip().lower() not in ("0", "0.0", "false", "no", "off", "")
+
+
+def _read_table(table: Table) -> ControlPoints:
+    """Read the rows of our CSV, its header first."""
+    head = [cell.strip() for cell in table[0]] if table else []
+    if not set(PLACES) <= set(head):
+        raise _unreadable(",".join(head)[:80] or "nothing", ",".join(PLACES))
+    short = next((i for i, row in enumerate(table) if len(row) < len(head)), None)
+    if short is not None:
+        raise _unreadable(f"too few columns in row {short + 1}", f"{len(head)}")
+    cells = {name: [row[i] for row in table[1:]] for i, name in enumerate(head)}
+    places = np.array([[_number(c, name) for c in cells[name]] for name in PLACES]).T
+    flags = ([_flag(c) for c in cells[n]] if n in cells else None for n in ("enabled", "check"))
+    return ControlPoints(places[:, :2], places[:, 2:], *flags)
+
+
+def _read_bigwarp(table: Table) -> ControlPoints:
+    """Read landmarks; moving is the target, fixed the reference."""
+    places, enabled = [], []
+    for line, row in enumerate(table, start=1):
+        if len(row) not in BIGWARP_COLUMNS:
+            raise _unreadable(f"{len(row)} columns in line {line}", "6 (plane) or 8 (volume)")
+        first, ndim = BIGWARP_COLUMNS[len(row)]
+        if any("infinity" in cell.lower() for cell in row[first:]):
+            continue
+        values = [_number(cell, f"line {line}") for cell in row[first:]]
+        places.append([*values[ndim : ndim + 2], *values[:2]])
+        enabled.append(_flag(row[1]))
+    both = np.array(places, float).reshape(-1, 4)
+    return ControlPoints(both[:, :2], both[:, 2:], enabled)
+
+
+def _read_qgis(table: Table) -> ControlPoints:
+    """Read points; source is the target, map the reference."""
+    surveyed = re.match(r"#CRS:\s*\S", ",".join(table[0])) is not None
+    body = [row for row in table if not row[0].startswith("#")][1:]
+    short = next((i for i, row in enumerate(body) if len(row) < 4), None)
+    if short is not None:
+        expected = "at least mapX,mapY,sourceX,sourceY"
+        raise _unreadable(f"{len(body[short])} columns in row {short + 1}", expected)
+    values = [[_number(c, f"row {i}") for c in row[:4]] for i, row in enumerate(body, start=1)]
+    places = np.array(values, float).reshape(-1, 4)
+    if surveyed and len(places) and (places[:, 1] > 0).all():
+        expected = "a reference picture without georeference"
+        raise _unreadable("a map with a reference system of the earth", expected)
+    reference, target = (
+        (part - QGIS_CENTRE) * QGIS_SCALE for part in (places[:, :2], places[:, 2:])
+    )
+    return ControlPoints(reference, target, [len(row) < 5 or _flag(row[4]) for row in body])
+
+
+KINDS = {"levkas": _read_table, "bigwarp": _read_bigwarp, "qgis": _read_qgis}
+"""Program → how its rows are read."""
+
+
+def format_points(points: ControlPoints) -> bytes:
+    """Return our CSV; floats are written so that they are read back as they were."""
+    columns = (points.reference.tolist(), points.target.tolist(), points.enabled, points.check)
+    lines = [
+        ",".join(map(str, (*place, *other, int(on), int(check))))
+        for place, other, on, check in zip(*columns, strict=True)
+    ]
+    return ("\n".join([",".join((*PLACES, "enabled", "check")), *lines]) + "\n").encode()
 
 
 def _in_file(refused: PointsRefused, path: str | Path) -> PointsRefused:
@@ -336,118 +277,81 @@ def _bytes(path: Path) -> bytes:
     try:
         check_file(path, "a file of control points")
         with path.open("rb") as file:
-            data = file.read(LARGEST_TABLE + 1)
-    except (TextRefused, OSError) as error:
-        problems = getattr(error, "problems", None) or (
-            Problem("E_UNREADABLE", "control points cannot be read", str(path), found=str(error)),
-        )
-        raise PointsRefused(*problems) from None
-    return data
+            return file.read(LARGEST_TABLE + 1)
+    except TextRefused as refused:
+        raise PointsRefused(*refused.problems) from None
+    except OSError as error:
+        raise _unreadable(str(error), "a file that can be read") from None
 
 
 # --- points of several frames in one table
 
 
-Frame = tuple[str, str, str]
-"""(object, CAMERA or CAMERA@SETUP, band; empty for the camera's reference channel)"""
-MOST_FRAMES = 5000
-"""Of one table: each is read by itself."""
-
-
 def is_table_of_frames(path: Path) -> bool:
     """Return whether a file is a CSV with the columns object and camera, and the four coordinates."""
     with path.open("rb") as file:
-        return is_header(file.read(4096), {*PLACES, *FRAME[:2]})
+        first = file.read(4096).removeprefix(b"\xef\xbb\xbf").split(b"\n")[0]
+    names = {cell.strip().strip('"') for cell in first.decode("utf-8", "replace").split(",")}
+    return names >= {*PLACES, *FRAME[:2]}
 
 
 def read_table_of_frames(path: Path) -> dict[Frame, ControlPoints]:
     """Read a CSV of several frames: object, camera, band (may be left out), and the columns of our CSV; raises PointsRefused."""
     try:
-        head, *body = rows(decode(_bytes(path)))
+        head, *body = _rows(_bytes(path))
         head = [cell.strip() for cell in head]
-        places = [head.index(name) if name in head else None for name in FRAME]
-        groups: dict[Frame, list[list[str]]] = {}
+        places = [head.index(name) if name in head else len(head) for name in FRAME]
+        groups: dict[Frame, Table] = {}
         for row in body:
-            name, layer, band = (
-                "" if p is None or p >= len(row) else row[p].strip() for p in places
+            name, layer, band = (row[p].strip() if p < len(row) else "" for p in places)
+            groups.setdefault((name, layer, band), [head]).append(row)
+        if len(groups) > MOST_FRAMES:
+            raise _refused(
+                "E_SIZE",
+                "the table has points of too many frames",
+                field="object, camera, band",
+                found=len(groups),
+                expected=f"at most {MOST_FRAMES}",
+                fix="Write a table for each camera.",
             )
-            groups.setdefault((name, layer, band), []).append(row)
-            if len(groups) > MOST_FRAMES:
-                raise _refused(
-                    "E_SIZE",
-                    "the table has points of too many frames",
-                    field="object, camera, band",
-                    found=f"more than {MOST_FRAMES}",
-                    expected=f"at most {MOST_FRAMES}",
-                    fix="Write a table for each camera.",
-                )
-        return {frame: _of_rows([head, *group]) for frame, group in groups.items()}
+        return {frame: _read_table(group) for frame, group in groups.items()}
     except PointsRefused as refused:
         raise _in_file(refused, path) from None
-
-
-def parse_frame(text: str) -> Frame:
-    """Read OBJECT/CAMERA, OBJECT/CAMERA@SETUP or OBJECT/CAMERA:BAND.
-
-    Examples
-    --------
-    >>> parse_frame("icon1/d80@45-degree:R")
-    ('icon1', 'd80@45-degree', 'R')
-    """
-    name, slash, rest = text.partition("/")
-    layer, _, band = rest.partition(":")
-    if not (name and slash and layer):
-        raise _refused(
-            "E_VALUE",
-            "this is not a frame of an object",
-            field="frame",
-            found=text,
-            expected="OBJECT/CAMERA, OBJECT/CAMERA@SETUP:BAND",
-        )
-    return name, layer, band
 
 
 def read_frames(
     path: Path, frame: str | None, layers: Collection[tuple[str, str]]
 ) -> dict[Frame, ControlPoints]:
-    """Read check points of any kind.
+    """Read check points of any kind: a CSV of several frames, or a file of any program for one; raises PointsRefused.
 
-    Raises PointsRefused.
-
-    Parameters
-    ----------
-    path : Path
-        A CSV of several frames, or a file of any program for one.
-    frame : str, optional
-        Which one, for the latter; not needed where there is only one.
-    layers : collection of (object, layer)
-        That there are.
+    `frame` is OBJECT/CAMERA, OBJECT/CAMERA@SETUP or OBJECT/CAMERA:BAND of the latter, not needed where there is only one of the
+    (object, layer) that there are.
     """
+    known = ", ".join("/".join(key) for key in layers)
     if path.is_file() and is_table_of_frames(path):
         if frame is not None:
-            why, expected = (
+            raise _refused(
+                "E_VALUE",
                 "the table names its frames itself",
-                "a file of one frame, or no --frame",
+                file=str(path),
+                field="--frame",
+                found=frame,
+                expected="a file of one frame, or no --frame",
             )
-            raise _refused("E_VALUE", why, str(path), "--frame", frame, expected)
         return read_table_of_frames(path)
     if frame is None and len(layers) != 1:
-        program = sniff(path.read_bytes()[: 1 << 20]) if path.is_file() else ""
         raise _refused(
             "E_VALUE",
             "the object and camera of these points are unknown",
             file=str(path),
-            found=f"a file of {program}" if program else "no such file",
-            expected=", ".join("/".join(key) for key in layers),
+            found=f"a file of {sniff(_bytes(path))}" if path.is_file() else "no such file",
+            expected=known,
             fix="Add --frame OBJECT/CAMERA, or write a CSV with the columns object and camera.",
         )
-    name, layer, band = parse_frame(frame) if frame else (*next(iter(layers)), "")
+    name, layer = next(iter(layers)) if frame is None else frame.partition("/")[::2]
+    layer, _, band = layer.partition(":")
     if (name, layer) not in layers:
         raise _refused(
-            "E_VALUE",
-            f"unknown layer {name}/{layer}",
-            field="frame",
-            found=frame,
-            expected=", ".join("/".join(key) for key in layers),
+            "E_VALUE", f"unknown layer {name}/{layer}", field="frame", found=frame, expected=known
         )
     return {(name, layer, band): read_points(path)}

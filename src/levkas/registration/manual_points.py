@@ -34,8 +34,8 @@ MARKS = {
     "deleted": HandMark.DELETED,
     "checks": HandMark.CHECK,
 }
-#: Marks of pairs that no fit rests on; kinds of pairs that are never removed.
-UNUSED, FIXED = (HandMark.DELETED, HandMark.CHECK), ("restored", "pinned", "added")
+KINDS, FIXED = (*MARKS, "starts"), ("restored", "pinned", "added")
+"""Kinds of pairs; those that are never removed."""
 
 
 def _none() -> np.ndarray:
@@ -86,12 +86,20 @@ class ManualPoints:
 
     def moved(self, reference: Mapper, target: Mapper) -> ManualPoints:
         """Return the pairs with their places in either picture moved, px → px."""
-        names = ("added", "pinned", "restored", "deleted", "checks", "starts")
-        pairs = {name: getattr(self, name) for name in names}
         parts: dict[str, Any] = {
-            name: np.hstack([reference(p[:, :2]), target(p[:, 2:])]) for name, p in pairs.items()
+            kind: np.hstack([reference(p[:, :2]), target(p[:, 2:])])
+            for kind in KINDS
+            for p in [getattr(self, kind)]
         }
         return replace(self, **parts)
+
+    def joined(self, other: ManualPoints) -> ManualPoints:
+        """Return the pairs of both, of which all check points say in which band they were placed."""
+        pairs: dict[str, Any] = {
+            kind: np.concatenate([getattr(self, kind), getattr(other, kind)]) for kind in KINDS
+        }
+        accepted = self.accepted or other.accepted
+        return ManualPoints(**pairs, placed=self.placed + other.placed, accepted=accepted)
 
     def mark(self, reference: np.ndarray, target: np.ndarray) -> MarkedMatches:
         """Find the given pairs among those of a method, (n, 2) each, and append those it lacks."""
@@ -124,7 +132,7 @@ class MarkedMatches:
     @cached_property
     def dropped(self) -> np.ndarray:
         """Mask of the pairs that no fit may rest on, (n,) bool."""
-        return np.asarray(np.logical_or.reduce([self.reason == word for word in UNUSED]), bool)
+        return np.asarray((self.reason == HandMark.DELETED) | (self.reason == HandMark.CHECK), bool)
 
     @cached_property
     def fixed(self) -> np.ndarray:

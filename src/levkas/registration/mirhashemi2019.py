@@ -18,14 +18,13 @@ from levkas.registration.alignment import declared_map, distance_between, read_a
 from levkas.registration.bands import area_average, grey, region_mask, stretch
 from levkas.registration.features import KeyPoints, find_key_points
 from levkas.registration.foreground import ObjectArea
-from levkas.registration.manual_points import ManualPoints, MarkedMatches
+from levkas.registration.manual_points import ManualPoints
 from levkas.registration.matching import RATIO, match
 from levkas.registration.outliers import Cleaned, RemovalTerms, clean
 from levkas.registration.record import (
     Matches,
     MatchState,
     Registration,
-    RegistrationRefused,
     Verdict,
     refusal,
 )
@@ -40,7 +39,6 @@ if TYPE_CHECKING:
     from levkas.campaign.methods import PaperOptions
     from levkas.registration.request import Request
 
-REASONS = {-1: "", 0: "farther than `reject` under scale alone"}
 REJECT_SHARE = 1 / 16
 """T1 as a share of the reference's diagonal: the paper's 108 px of 1392 x 1040."""
 MOST_PX = 4_000_000
@@ -90,20 +88,19 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
     names = list(dict.fromkeys(image.sensor for image in request.target))
     known: dict[str, Transform] = {sensor: Affine.identity()} if request.is_own else {}
     align = {names[0]: Affine.identity()} | read_alignments(request.align)
-    found, share = {}, area.share_of(request.layer)
+    found: dict[str, MatchedSensor] = {}
     for name in names:
         if name in known:
             continue
         images = [image for image in request.target if image.sensor == name]
         inside = request.target_region if name == names[0] else None
+        theirs = SensorPicture(*grey(images), None if inside is None else tuple(inside))
+        mask = area.compared if request.outline is not None else None
+        one = _register_sensor(ours, theirs, options, request.given.get(name, ManualPoints()), mask)
         declared = declared_map(name, align, known)
-        hand = request.given.get(name, ManualPoints())
-        found[name] = _register_sensor(
-            ours, SensorPicture(*grey(images), None if inside is None else tuple(inside)), options, hand,
-            share=share,
-            mask=area.compared if request.outline is not None else None, declared=declared,
-        )  # fmt: skip
-        known[name] = found[name].transform
+        apart = declared and distance_between(one.transform, declared, ours.values.shape)
+        found[name] = replace(one, evidence=replace(one.evidence, align_apart_px=apart))
+        known[name] = one.transform
     transforms = {image.label: known[image.sensor] for image in request.target}
     if not found:
         reason = "The paper's method does not register the reference camera's own bands."
@@ -112,11 +109,12 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
             model={"kind": "identity"},
         )  # fmt: skip
     first, *rest = found
-    cleaned = found[first].cleaned
+    cleaned, share = found[first].cleaned, area.share_of(request.layer)
+    evidence = {n or ONLY: replace(o.evidence, object_share=share) for n, o in found.items()}
     return Registration(
         method="mirhashemi2019",
         transforms=transforms,
-        verdict=judge(Judged({n or ONLY: one.evidence for n, one in found.items()}, share)),
+        verdict=judge(Judged(evidence, share)),
         errors=_statistics(found[first].matches),
         matches=found[first].matches,
         trace=cleaned.trace,
@@ -157,12 +155,9 @@ def _register_sensor(
     theirs: SensorPicture,
     options: PaperOptions,
     hand: ManualPoints,
-    *,
-    share: float,
     mask: np.ndarray | None,
-    declared: Transform | None,
 ) -> MatchedSensor:
-    """Register one sensor, and judge its map; `share` of the layer shows the object."""
+    """Register one sensor, and measure what a verdict needs; `mask`, (h, w) bool, is where the object is declared to lie."""
     scale = scale_only(ours.size, theirs.size)
     if ours.region is not None and theirs.region is not None:
         scale = _scale_of_regions(ours.region, theirs.region)
@@ -174,21 +169,27 @@ def _register_sensor(
         found.target, found.reference, terms, size=ours.size, target_size=theirs.size,
         pinned=found.fixed, dropped=found.dropped,
     )  # fmt: skip
-    matches, transform = _describe(found, cleaned, terms.stop), Inverse(cleaned.model)
-    apart = declared and distance_between(transform, declared, ours.values.shape)
-    evidence = replace(
-        measure(transform, matches, ours, theirs, terms, mask),
-        object_share=share,
-        align_apart_px=apart,
+    reasons = np.full(len(found.reason), f"worst of its round, above {terms.stop:g} px", object)
+    reasons[cleaned.round == 0] = "farther than `reject` under scale alone"
+    reasons[cleaned.kept] = ""
+    matches = Matches.of(
+        found.reference,
+        found.target,
+        residual=cleaned.residual,
+        leave_one_out=cleaned.leave_one_out,
+        weight=cleaned.kept.astype(float),
+        state=np.where(cleaned.kept, MatchState.KEPT, MatchState.REMOVED).astype(object),
+        reason=np.where(found.reason == "", reasons, found.reason),
+        round=cleaned.round,
     )
+    transform = Inverse(cleaned.model)
+    evidence = measure(transform, matches, ours, theirs, terms, mask)
     return MatchedSensor(transform, matches, cleaned, evidence)
 
 
 def scale_only(size: tuple[int, int], target_size: tuple[int, int]) -> Affine:
     """Return the scale-only map target → reference of two frames (width, height): one scale, centre upon centre.
 
-    Examples
-    --------
     >>> scale_only((100, 80), (200, 160))(np.array([[0.5, 0.5], [199.5, 159.5]]))
     array([[ 0. ,  0. ], [99.5, 79.5]])
     """
@@ -219,26 +220,18 @@ def find_matches(
     b, back_b = theirs.key_points(min(matched, most[1]), detector)
     rows, columns, _ = match(a, b, matching=matching, ratio=ratio)
     if not len(rows) and not may_be_none:
-        raise _no_matches(a, b)
+        blank = [n for n, points in (("reference", a), ("target", b)) if len(points) == 0]
+        raise refusal(
+            "E_MATCHES",
+            f"the {' and the '.join(blank)} have too little structure to match"
+            if blank
+            else "no key points match between the two pictures",
+            field="registration",
+            found=f"{len(a)} key points in the reference, {len(b)} in the target",
+            expected="hundreds in both",
+            fix="Check exposure and focus of both pictures, and that they show the same object.",
+        )
     return Matches.of(back_a(a.points[rows]), back_b(b.points[columns]))
-
-
-def _describe(found: MarkedMatches, cleaned: Cleaned, stop: float) -> Matches:
-    """Return the matches with their state: kept, or when and why they left."""
-    reasons = np.array(
-        [REASONS.get(r, f"worst of its round, above {stop:g} px") for r in cleaned.round], object
-    )
-    reasons = np.where(found.reason == "", reasons, found.reason)
-    return Matches(
-        reference=found.reference,
-        target=found.target,
-        residual=cleaned.residual,
-        leave_one_out=cleaned.leave_one_out,
-        weight=cleaned.kept.astype(float),
-        state=np.where(cleaned.kept, MatchState.KEPT, MatchState.REMOVED).astype(object),
-        reason=reasons,
-        round=cleaned.round,
-    )
 
 
 def _statistics(matches: Matches) -> dict[str, Any]:
@@ -254,23 +247,6 @@ def _statistics(matches: Matches) -> dict[str, Any]:
         "leave_one_out_mean": float(without.mean()),
         "leave_one_out_max": float(without.max()),
     }
-
-
-def _no_matches(a: KeyPoints, b: KeyPoints) -> RegistrationRefused:
-    blank = [n for n, points in (("reference", a), ("target", b)) if len(points) == 0]
-    message = (
-        f"the {' and the '.join(blank)} have too little structure to match"
-        if blank
-        else "no key points match between the two pictures"
-    )
-    return refusal(
-        "E_MATCHES",
-        message,
-        field="registration",
-        found=f"{len(a)} key points in the reference, {len(b)} in the target",
-        expected="hundreds in both",
-        fix="Check exposure and focus of both pictures, and that they show the same object.",
-    )
 
 
 # --- evidence for the verdict
@@ -308,14 +284,17 @@ def measure(
 
 
 def measure_held_out(matches: Matches, terms: RemovalTerms) -> tuple[float, float]:
-    """Return the median error and that of one in ten of matches, reference px, in blocks that were not fitted; infinite where no fit is possible.
+    """Return the median error and that of one in ten of matches, reference px, in spatial blocks that were not fitted; infinite where no fit is possible.
 
-    Blocks, not single matches: neighbours err alike, so that single ones left out are no independent
-    evidence.
+    Neighbours err alike, so that single matches left out are no independent evidence.
     """
     reference, target = matches.reference[matches.kept], matches.target[matches.kept]
     errors = np.full(len(reference), np.inf)
-    fold = _folds(reference)
+    fold = np.empty(0, int)
+    if len(reference):  # cells of a 5 x 5 grid, dealt to folds so that no two neighbours share one
+        low, high = reference.min(0), reference.max(0)
+        cell = ((reference - low) / np.maximum(high - low, 1e-9) * FOLDS).astype(int)
+        fold = np.minimum(cell, FOLDS - 1) @ (1, 2) % FOLDS
     for k in np.unique(fold):
         out = fold == k
         if (~out).sum() >= terms.coefficients:
@@ -326,13 +305,3 @@ def measure_held_out(matches: Matches, terms: RemovalTerms) -> tuple[float, floa
     # Order statistics, not interpolation, which is undefined between two infinities.
     middle, high = np.percentile(errors, (50, 90), method="lower")
     return float(middle), float(high)
-
-
-def _folds(points: np.ndarray) -> np.ndarray:
-    """Deal the cells of a 5 x 5 grid to folds so that no two neighbours share one."""
-    if not len(points):
-        return np.empty(0, int)
-    low, high = points.min(0), points.max(0)
-    cell = ((points - low) / np.maximum(high - low, 1e-9) * FOLDS).astype(int)
-    cell = np.clip(cell, 0, FOLDS - 1)
-    return (cell[:, 0] + 2 * cell[:, 1]) % FOLDS

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -70,74 +70,63 @@ class PlacedByHand:
         )
         points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
         jacobian, here = self.transform.jacobian(points), self.transform(points)
+
+        def squares(other: Transform) -> np.ndarray:
+            return np.asarray(np.square(solve_2x2(jacobian, other(points) - here)).sum(1) / 2)
+
         p, q = self.pairs[:, :2], self.pairs[:, 2:]
         steps, variance = MOVED_PX * self.transform.jacobian(p), np.zeros(len(points))
         for pair, axis in np.ndindex(len(p), 2):
             moved = q.copy()
             moved[pair] += steps[pair, :, axis]
-            apart = solve_2x2(jacobian, fit_plane(self.model, p, moved)(points) - here) / MOVED_PX
-            variance += self.spread**2 * np.square(apart).sum(1) / 2
+            follows = squares(fit_plane(self.model, p, moved)) / MOVED_PX**2
+            variance += self.spread**2 * follows
         total = 1 + sum(weight for _, weight in self.alternatives)
         for other, weight in self.alternatives:
-            apart = solve_2x2(jacobian, other(points) - here)
-            variance += weight / total * np.square(apart).sum(1) / 2
+            variance += weight / total * squares(other)
         values = np.sqrt(variance).reshape(UNCERTAINTY.lattice[::-1])
         return Sigma(x, y, np.round(values, UNCERTAINTY.decimals))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers of a verdict, JSON-ready; ``worst`` is the place and the error of the worst pair."""
         fit, worst = self.fit_px, int(np.argmax(self.leave_one_out))
+        place = (*self.pairs[worst, :2], self.leave_one_out[worst])
         known = np.isfinite(self.leave_one_out).all()
         return {
             "pairs": len(self.pairs),
             "model": self.model,
             "fit_px": None if fit is None else round(fit, 3),
-            "worst": [
-                round(float(v), 2) for v in (*self.pairs[worst, :2], self.leave_one_out[worst])
-            ]
-            if known
-            else None,
+            "worst": [round(float(v), 2) for v in place] if known else None,
         }
 
     def matches(self) -> Matches:
         """Return the table of the pairs, each with its mark; deleted ones last."""
-        marked = self.given.mark(self.pairs[:, :2], self.pairs[:, 2:])
-        deleted = self.given.deleted
+        p, q = np.hsplit(self.pairs, 2)
         found = Matches.of(
-            self.pairs[:, :2],
-            self.pairs[:, 2:],
+            p, q,
             residual=self.residual,
             leave_one_out=np.where(np.isfinite(self.leave_one_out), self.leave_one_out, np.nan),
-            reason=marked.reason,
-        )
+            reason=self.given.mark(p, q).reason,
+        )  # fmt: skip
+        deleted = self.given.deleted
         left = Matches.of(
-            deleted[:, :2],
-            deleted[:, 2:],
+            *np.hsplit(deleted, 2),
             weight=np.zeros(len(deleted)),
             state=np.full(len(deleted), MatchState.REMOVED, object),
             reason=np.full(len(deleted), HandMark.DELETED, object),
         )
-        names = Matches.__dataclass_fields__
-        return Matches(**{n: np.concatenate([getattr(found, n), getattr(left, n)]) for n in names})
+        both = (
+            np.concatenate([getattr(part, column.name) for part in (found, left)])
+            for column in fields(Matches)
+        )
+        return Matches(*both)
 
 
 def place_by_hand(given: ManualPoints, shape: tuple[int, ...], sensor: str = "") -> PlacedByHand:
-    """Fit the map that a person's pairs support: a similarity, an affine map or a homography.
+    """Fit the map with the least leave-one-out error to a person's pairs: a similarity, an affine map or a homography.
 
-    Raises RegistrationRefused: ``E_MATCHES`` with fewer than four pairs, or with pairs on one line.
-
-    Parameters
-    ----------
-    given : ManualPoints
-        With at least four pairs that are never removed.
-    shape : (height, width) of the reference
-        A homography must not fold within it.
-    sensor : str
-        Named in a refusal.
-
-    Notes
-    -----
-    The map with the least leave-one-out error is taken.
+    A homography must not fold within the reference, (height, width). Raises RegistrationRefused (``E_MATCHES``), naming `sensor`, with
+    fewer than four pairs that are never removed, or with pairs on one line.
 
     Examples
     --------
@@ -149,18 +138,23 @@ def place_by_hand(given: ManualPoints, shape: tuple[int, ...], sensor: str = "")
     """
     pairs = given.fixed
     _check(pairs, sensor)
-    p, q = pairs[:, :2], pairs[:, 2:]
+    p, q = np.hsplit(pairs, 2)
     affine = Affine.fit(p, q)
     fitted: dict[str, Transform] = {"similarity": fit_plane("similarity", p, q), "affine": affine}
     plane = _tried("homography", p, q)
     if isinstance(plane, Homography) and _is_sound(plane, p, shape):
         fitted["homography"] = plane
-    missed = {name: _missed(transform, p, q) for name, transform in fitted.items()}
-    without = {name: _left_out(fitted[name], name, p, q) for name in fitted}
+    missed = {name: solve_2x2(t.jacobian(p), q - t(p)) for name, t in fitted.items()}
+    without = {name: _left_out(t, name, p, q) for name, t in fitted.items()}
     errors = {name: float(np.sqrt(np.square(one).sum(1).mean())) for name, one in without.items()}
     slope = float(np.sqrt(abs(np.linalg.det(affine.matrix[:, :2]))))
     hand = HAND_PX * float(np.hypot(1, 1 / max(slope, 1e-9)))
-    sound = [name for name in fitted if _deviation(missed[name], name) <= BEYOND_A_HAND * hand]
+    free = {name: max(2 * len(p) - PARAMETERS[name], 0) for name in fitted}
+    spread = {
+        name: float(np.sqrt(np.square(one).sum() / free[name])) if free[name] else 0.0
+        for name, one in missed.items()
+    }
+    sound = [name for name in fitted if spread[name] <= BEYOND_A_HAND * hand]
     best = min(sound or errors, key=lambda name: (round(errors[name], 6), PARAMETERS[name]))
     weights = {
         name: min(1.0, errors[best] / error) ** len(p) if error else 1.0
@@ -168,39 +162,33 @@ def place_by_hand(given: ManualPoints, shape: tuple[int, ...], sensor: str = "")
     }
     others = [(fitted[n], w) for n, w in weights.items() if n != best and (w or n == "affine")]
     return PlacedByHand(
-        best,
-        fitted[best],
-        given,
-        np.linalg.norm(missed[best], axis=1),
-        np.linalg.norm(without[best], axis=1),
-        max(hand, _deviation(missed[best], best)),
-        tuple(others),
-    )
+        best, fitted[best], given,
+        np.linalg.norm(missed[best], axis=1), np.linalg.norm(without[best], axis=1),
+        max(hand, spread[best]), tuple(others),
+    )  # fmt: skip
 
 
 def _check(pairs: np.ndarray, sensor: str) -> None:
     """Refuse pairs that determine no map."""
-    field = sensor or None
     if len(pairs) < LEAST_PAIRS:
         raise refusal(
             "E_MATCHES",
             "too few pairs by hand to place this sensor by them",
-            field=field,
+            field=sensor or None,
             found=len(pairs),
             expected=f"at least {LEAST_PAIRS}",
             fix="Add pairs in `levkas inspect CAMPAIGN`, or take `accept` out of edits.toml.",
         )
-    for points in (pairs[:, :2], pairs[:, 2:]):
+    for points in np.hsplit(pairs, 2):
         along, across = np.linalg.svd(points - points.mean(0), compute_uv=False)
-        if across > LEAST_ACROSS * along:
-            continue
-        raise refusal(
-            "E_MATCHES",
-            "the pairs by hand lie on one line, which determines no map",
-            field=field,
-            found=f"{along:.1f} px along and {across:.1f} px across",
-            fix="Add pairs beside that line in `levkas inspect CAMPAIGN`, far apart and near the corners of the object.",
-        )
+        if across <= LEAST_ACROSS * along:
+            raise refusal(
+                "E_MATCHES",
+                "the pairs by hand lie on one line, which determines no map",
+                field=sensor or None,
+                found=f"{along:.1f} px along and {across:.1f} px across",
+                fix="Add pairs beside that line in `levkas inspect CAMPAIGN`, far apart and near the corners of the object.",
+            )
 
 
 def _tried(model: str, p: np.ndarray, q: np.ndarray) -> Transform | None:
@@ -219,11 +207,6 @@ def _is_sound(plane: Homography, p: np.ndarray, shape: tuple[int, ...]) -> bool:
     return bool(np.isfinite(plane.matrix).all() and (np.sign(below) == np.sign(below[0])).all())
 
 
-def _missed(transform: Transform, p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return (n, 2) residuals in reference px."""
-    return solve_2x2(transform.jacobian(p), q - transform(p))
-
-
 def _left_out(whole: Transform, model: str, p: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Return the residuals, (n, 2) reference px, of maps without the pair itself; infinite where the others determine none."""
     result = np.full(p.shape, np.inf)
@@ -233,9 +216,3 @@ def _left_out(whole: Transform, model: str, p: np.ndarray, q: np.ndarray) -> np.
             here = p[left : left + 1]
             result[left] = solve_2x2(whole.jacobian(here), q[left : left + 1] - rest(here))[0]
     return np.where(np.isfinite(result), result, np.inf)
-
-
-def _deviation(missed: np.ndarray, model: str) -> float:
-    """Return the standard deviation of a pair, either axis, by the freedom that is left; 0 where none is."""
-    free = missed.size - PARAMETERS[model]
-    return float(np.sqrt(np.square(missed).sum() / free)) if free > 0 else 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 def points_file(campaign: Campaign, capture: Capture) -> Path | None:
     """Return the file of points of a capture; None where none is named, or its object has none.
 
-    A name with {object}, {camera} or {setup} is looked for; one without is there: campaign.toml was
-    refused otherwise.
+    A name with {object}, {camera} or {setup} is looked for; one without is there: campaign.toml was refused otherwise.
     """
     own, common = campaign.cameras[capture.camera].registration, campaign.registration
     name = own.points or common.points
@@ -48,15 +47,9 @@ def are_accepted(campaign: Campaign, camera: str) -> bool:
 
 
 def placed_in(capture: Capture, band: str, channel: str) -> tuple[str, str]:
-    """Return (sensor, band) that a table of points is of.
+    """Return (sensor, band) that a table of points is of; `band` as the table names it, empty for the first sensor's.
 
-    Parameters
-    ----------
-    band : str
-        As the table names it; empty for the capture's first sensor.
-    channel : str
-        The capture's reference channel: what a camera's name without a band means, where the first
-        sensor has it; else the sensor's middle band.
+    That is `channel`, the capture's reference channel, where the first sensor has it; else the sensor's middle band.
     """
     sensor = next((s for s in capture.sensors if band in [b.label for b in s.bands]), None)
     if band and sensor is not None:
@@ -73,15 +66,17 @@ def declared_points(
 
     Raises PointsRefused where the file cannot be read, or names a band that the camera does not have.
     """
+    from levkas.registration.control_points import PointsRefused  # heavy, and not for fingerprints
+    from levkas.registration.manual_points import ManualPoints
+
     path = points_file(campaign, capture)
     if path is None:
         return {}
-    labels = {b.label: sensor.name for sensor in capture.sensors for b in sensor.bands}
+    labels = [b.label for sensor in capture.sensors for b in sensor.bands]
+    use, accepted = use_of(campaign, capture.camera), are_accepted(campaign, capture.camera)
     found: dict[str, ManualPoints] = {}
     for band, points in _of_capture(campaign, capture, path).items():
         if band and band not in labels:
-            from levkas.registration.control_points import PointsRefused
-
             raise PointsRefused(
                 Problem(
                     "E_BAND_MISSING",
@@ -92,9 +87,12 @@ def declared_points(
                 )
             )
         sensor, placed = placed_in(capture, band, channel)
-        pairs = placed_pairs(_given(points, use_of(campaign, capture.camera)), placed)
-        pairs = replace(pairs, accepted=are_accepted(campaign, capture.camera))
-        found[sensor] = joined(found[sensor], pairs) if sensor in found else pairs
+        rows = np.hstack([points.reference, points.target])
+        checks = points.enabled & (points.check | (use == "check"))
+        kind = "starts" if use == "start" else "added"
+        parts = {kind: rows[points.enabled & ~checks], "checks": rows[checks]}
+        pairs = placed_pairs(ManualPoints(**parts, accepted=accepted), placed)
+        found[sensor] = found[sensor].joined(pairs) if sensor in found else pairs
     return found
 
 
@@ -105,11 +103,8 @@ def fingerprint_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
     path = points_file(campaign, capture)
     if path is None:
         return {}
-    name = (
-        path.relative_to(campaign.root).as_posix()
-        if path.is_relative_to(campaign.root)
-        else path.name
-    )
+    inside = path.is_relative_to(campaign.root)
+    name = path.relative_to(campaign.root).as_posix() if inside else path.name
     prints = {
         f"points {name}": hash_file(path)[:16],
         "registration.use": use_of(campaign, capture.camera),
@@ -124,31 +119,16 @@ def placed_pairs(pairs: ManualPoints, band: str) -> ManualPoints:
     return replace(pairs, placed=(band,) * len(pairs.checks))
 
 
-def joined(one: ManualPoints, other: ManualPoints) -> ManualPoints:
-    """Return the pairs of both, whose check points all say in which band they were placed."""
-    from levkas.registration.manual_points import ManualPoints  # heavy, and not for fingerprints
-
-    kinds = [f.name for f in fields(ManualPoints) if f.name not in ("placed", "accepted")]
-    pairs = {kind: np.concatenate([getattr(one, kind), getattr(other, kind)]) for kind in kinds}
-    accepted = one.accepted or other.accepted
-    return ManualPoints(**pairs, placed=one.placed + other.placed, accepted=accepted)
-
-
 def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, ControlPoints]:
-    from levkas.registration.control_points import (
-        PointsRefused,
-        is_table_of_frames,
-        read_points,
-        read_table_of_frames,
-    )
+    """Return the points of a capture in a file, by band."""
+    from levkas.registration import control_points as files
 
-    if is_table_of_frames(path):
-        rows = read_table_of_frames(path)
-        own = (capture.object, capture.layer)
+    if files.is_table_of_frames(path):
+        rows, own = files.read_table_of_frames(path), (capture.object, capture.layer)
         return {band: points for (*frame, band), points in rows.items() if tuple(frame) == own}
     name = campaign.registration.points or ""
     if not campaign.cameras[capture.camera].registration.points and "{camera}" not in name:
-        raise PointsRefused(
+        raise files.PointsRefused(
             Problem(
                 "E_VALUE",
                 "one file of points cannot belong to every camera",
@@ -159,13 +139,4 @@ def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, C
                 fix=f"Name it in [cameras.{capture.camera}.registration].",
             )
         )
-    return {"": read_points(path)}
-
-
-def _given(points: ControlPoints, use: str) -> ManualPoints:
-    from levkas.registration.manual_points import ManualPoints
-
-    pairs = np.hstack([points.reference, points.target])
-    checks = points.enabled & (points.check | (use == "check"))
-    kind = "starts" if use == "start" else "added"
-    return ManualPoints(**{kind: pairs[points.enabled & ~checks], "checks": pairs[checks]})
+    return {"": files.read_points(path)}

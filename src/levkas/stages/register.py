@@ -28,7 +28,7 @@ from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.record import COLUMNS, HandMark, Matches
 from levkas.registration.reduced import enlarged
-from levkas.stages.control_points import declared_points, joined, placed_in, placed_pairs
+from levkas.stages.control_points import declared_points, placed_in, placed_pairs
 from levkas.stages.native_files import TILE, part_name
 from levkas.stages.tile_placement import place_reference
 from levkas.stages.tile_registration import TilesToReference
@@ -304,7 +304,7 @@ def corrections_of(
                 options[key] = getattr(edits, key)
     declared = {} if capture.tile else declared_points(campaign, capture, channel)
     for sensor, pairs in declared.items():
-        given[sensor] = pairs if sensor not in given else joined(given[sensor], pairs)
+        given[sensor] = given[sensor].joined(pairs) if sensor in given else pairs
     return given, options
 
 

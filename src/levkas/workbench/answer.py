@@ -90,5 +90,5 @@ def _map(cleaned: Cleaned) -> dict[str, Any]:
         "order": model.order,
         "centre": [float(v) for v in model.centre],
         "spread": float(model.spread),
-        "terms": np.round(cleaned.models[-1], 5).ravel().tolist(),
+        "terms": np.round(model.coefficients, 5).ravel().tolist(),
     }
