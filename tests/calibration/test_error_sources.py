@@ -9,8 +9,6 @@ from levkas.calibration.error_sources import (
     COVERAGE,
     ErrorSource,
     MeanSpectrum,
-    Uncertain,
-    expected_ratio,
     join,
     uncertain_mean,
 )
@@ -141,20 +139,6 @@ def test_bands_without_a_wavelength_have_no_slope_and_rows_come_back():
     )
     assert ErrorSource.from_dict(unknown.to_dict()) == unknown
     assert uncertain_mean(mean, [unknown], layer="a").parts == {}
-
-
-def test_numbers_that_agree_have_an_expected_ratio_below_one_in_nineteen_of_twenty():
-    rng = np.random.default_rng(3)
-    truth, sizes = rng.uniform(0.1, 0.9, 5000), (0.01, 0.02)
-    a, b = (truth + size * rng.standard_normal(5000) for size in sizes)
-    # By hand: E_n = |a - b| / (2 * sqrt(0.01^2 + 0.02^2)).
-    expected = np.abs(a - b) / (2 * np.hypot(*sizes))
-    first, second = (
-        Uncertain(v[:50], {("noise", name, i): size * row for i, row in enumerate(np.eye(50))})
-        for v, name, size in ((a, "a", 0.01), (b, "b", 0.02))
-    )
-    assert np.allclose(expected_ratio(first, second), expected[:50])
-    assert 0.945 < np.mean(expected < 1) < 0.965
 
 
 def test_the_number_worked_by_hand_in_the_docs_is_what_calibration_gives():

@@ -25,7 +25,7 @@ from levkas.registration.control_points import (
     read_points,
     read_table_of_frames,
 )
-from levkas.stages.spectra import read_sensitivity, read_spectrum
+from levkas.stages.spectra import read_certificate, read_sensitivity
 
 CHART = Chart("two by two", 2, 2, (0, 1, 2, 3))
 CAMPAIGN = b"""[campaign]
@@ -174,7 +174,7 @@ def table(path):
     elif path.stem == "light":
         wavelengths, values, _ = read_table(path, field="spectrum", file=str(path))
     else:
-        wavelengths, values = read_spectrum(path)
+        wavelengths, values, _ = read_certificate(path)
     finite(values)
     finite(wavelengths, 0)
     assert len(wavelengths) == len(values) > 1 and (np.diff(wavelengths) > 0).all()
@@ -239,7 +239,7 @@ def chart(path):
         (sensitivity, "nm,B1,B2\n400,0,1\n500,1,0\n500,1,1\n"),  # 500 nm twice
         (sensitivity, "nm,B1,B2\n400,0,1\n,1,0\n"),  # no wavelength
         (sensitivity, "nm,x,y,B1,B2\n400,0,1,2\n500,1,0,3\n"),  # more headings than columns
-        (read_spectrum, "400,0.9\n600,0.5\n600,0.7\n"),
+        (read_certificate, "400,0.9\n600,0.5\n600,0.7\n"),
         (chart, "nm,A1,B1,A2,B2\n400,1,2,3,4\n400,5,6,7,8\n"),
         (chart, "nm,A1\x0cB1\n#\x01\rA2,B2\r\r,1,2,3,4\n400,5"),
     ],

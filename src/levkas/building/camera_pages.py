@@ -20,7 +20,7 @@ from levkas.campaign.discovery.find_captures import find_charts
 from levkas.core.disk import WriteRefused
 from levkas.core.files import make_folder, write_json, write_text
 from levkas.core.internal_errors import as_refusal
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem
 from levkas.database.layout import LayerId
 from levkas.quality.targets.indicators import WhiteEvenness, lightness_spread
 from levkas.quality.targets.stray_light import NOT_MEASURED
@@ -253,7 +253,8 @@ def _measured(
     from levkas.quality.targets.measuring import ChartMeasure
     from levkas.stages.charts import (
         develop_chart,
-        measure_capture,
+        folder_of_frames,
+        measure_chart,
         problems_of,
         stray_light_in,
         write_chart,
@@ -274,7 +275,7 @@ def _measured(
             chart = kind_of(campaign.targets.charts[capture.object])
             developed = develop_chart(capture, campaign, templates)
             spectra = reference_of(chart) if chart else None
-            found = measure_capture(name, developed, chart, spectra, evenness=light)
+            found = measure_chart(name, developed, chart, spectra, evenness=light)
             white = campaign.cameras[page.camera].white_chart
             if white is not None and isinstance(found, ChartMeasure):
                 found = replace(found, notes=(*found.notes, BY_ITSELF))
@@ -283,13 +284,14 @@ def _measured(
                 strayed[capture.setup] = shown | (
                     strayed.get(capture.setup, {}) if not developed.trapped else {}
                 )
-            problems += problems_of(name, capture, Refused(*found.edges.problems))
+            problems += problems_of(name, folder_of_frames(capture), found.edges.problems)
             files += write_chart(places, campaign, capture, developed, found)
         except WriteRefused:
             raise
         except Exception as error:
             refused = as_refusal(error, f"chart {name}", capture.sensors[0].object[0].path)
-            problems += problems_of(name, capture, records.with_report(key, refused))
+            reported = records.with_report(key, refused).problems
+            problems += problems_of(name, folder_of_frames(capture), reported)
     return measures, problems, files, strayed
 
 

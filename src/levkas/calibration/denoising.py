@@ -1,26 +1,28 @@
 """Denoising by projection on the signal subspace that HySime finds, block by block of lines.
 
-With R = Σ y yᵀ the noise of band i that no other band predicts has the power 1/(R⁻¹)ᵢᵢ: one pass
-suffices. Kept are the eigenvectors e of R − Rn with −eᵀR e + 2 eᵀRn e < 0 [bioucas2008]_.
+With R = Σ y yᵀ the noise of band i that no other band predicts has the power 1/(R⁻¹)ᵢᵢ: one pass suffices. Kept are the
+eigenvectors e of R − Rn with −eᵀR e + 2 eᵀRn e < 0 [bioucas2008]_, doi:10.1109/TGRS.2008.918089.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem
 
-CORRELATED = 0.1  # of neighbouring bands' noise, beyond what white noise would show
-MOST_KEPT = 0.45  # of the dimensions: beyond it noise has been taken for signal
-MORE_PIXELS = 10  # than bands, times: with fewer, chance alone makes directions of noise stand out
+CORRELATED = 0.1
+"""Of neighbouring bands' noise, beyond what white noise would show; binning of two bands gives 0.5."""
+MOST_KEPT = 0.45
+"""Of the dimensions: beyond it noise has been taken for signal."""
+MORE_PIXELS = 10
+"""Than bands, times: with fewer, chance alone makes directions of noise stand out."""
 
 
-@dataclass(frozen=True)
-class Subspace:
+class Subspace(NamedTuple):
     """Signal subspace of a cube.
 
     Parameters
@@ -29,53 +31,35 @@ class Subspace:
         Orthonormal columns, strongest first.
     noise : ndarray, (b,), float64
         Standard deviation of the noise of each band, in the unit of the values.
-    correlation : float
-        Mean correlation of what neighbouring bands leave unexplained, beyond that of white noise
-        projected onto the same subspace; near 0 where HySime holds.
-    pixels : int
-        Spectra behind it.
     """
 
     basis: np.ndarray
     noise: np.ndarray
-    correlation: float
-    pixels: int
 
     @property
     def k(self) -> int:
         """Dimension of the subspace."""
-        return self.basis.shape[1]
+        return int(self.basis.shape[1])
 
 
 def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
-    """Find the signal subspace by HySime in one pass.
+    """Find the signal subspace by HySime in one pass over blocks of spectra, (…, b); those with NaN are left out.
+
+    Noise is taken as independent of the signal; where shot noise rules, stabilise first. The covariance of what bands leave
+    each other unexplained is D P D with P = R⁻¹, D = 1/diag(P): its correlation of bands i and j is Pᵢⱼ/√(PᵢᵢPⱼⱼ), and for
+    white noise that of I − EEᵀ.
 
     Raises CalibrationRefused, E_SIZE with fewer than 3 bands or 10 spectra a band; E_CORRELATED where the noise of neighbouring
     bands correlates by more than `CORRELATED` (binning, smoothing in the camera's software): HySime would take it for signal.
-
-    Parameters
-    ----------
-    blocks : iterable of ndarray, (…, b)
-        Spectra in blocks of any shape; those with NaN are left out.
-
-    Notes
-    -----
-    Noise is taken as independent of the signal; where shot noise rules, stabilise first. The
-    covariance of what bands leave each other unexplained is D P D with P = R⁻¹, D = 1/diag(P):
-    its correlation of bands i and j is Pᵢⱼ/√(PᵢᵢPⱼⱼ), and for white noise that of I − EEᵀ.
     """
-
-    products, pixels = None, 0
+    products, pixels = np.zeros((0, 0)), 0
     for block in blocks:
         spectra = _spectra(block)
-        spectra = spectra[np.isfinite(spectra).all(1)]
-        if products is None:
-            products = np.zeros((spectra.shape[1],) * 2)
-        wide = spectra.astype(np.float64)
-        products += wide.T @ wide
-        pixels += len(spectra)
-    bands = 0 if products is None else len(products)
-    if products is None or bands < 3 or pixels < MORE_PIXELS * bands:
+        wide = spectra[np.isfinite(spectra).all(1)].astype(np.float64)
+        products = wide.T @ wide + (products if products.size else 0)
+        pixels += len(wide)
+    bands = len(products)
+    if bands < 3 or pixels < MORE_PIXELS * bands:
         raise CalibrationRefused(
             Problem(
                 "E_SIZE",
@@ -86,22 +70,15 @@ def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
                 fix="Remove `denoise` for this camera.",
             )
         )
-    return _hysime(products, pixels)
-
-
-def _hysime(products: np.ndarray, pixels: int) -> Subspace:
     # Equilibrated: bands of a dark and of a bright wavelength differ by orders of magnitude.
     size = np.sqrt(np.maximum(np.diag(products), 1e-300))
-    inverse = np.linalg.inv(products / np.outer(size, size) + 1e-12 * np.eye(len(size)))
-    bands = len(size)
-    freedom = pixels - bands + 1  # each band is regressed on all others
-    power = size**2 / np.diag(inverse) / freedom
+    inverse = np.linalg.inv(products / np.outer(size, size) + 1e-12 * np.eye(bands))
+    power = size**2 / np.diag(inverse) / (pixels - bands + 1)  # each is regressed on all others
     second = products / pixels
     signal = second - np.diag(power)
-    ridge = 1e-5 * np.trace(signal) / bands
-    _, vectors = np.linalg.eigh(signal)
-    vectors = vectors[:, ::-1]
-    gain = np.einsum("ik,ij,jk->k", vectors, 2 * (np.diag(power + ridge)) - second, vectors)
+    vectors = np.linalg.eigh(signal)[1][:, ::-1]
+    twice = 2 * np.diag(power + 1e-5 * np.trace(signal) / bands)
+    gain = np.einsum("ik,ij,jk->k", vectors, twice - second, vectors)
     basis = np.ascontiguousarray(vectors[:, gain < 0])
     excess = _neighbours(inverse) - _neighbours(np.eye(bands) - basis @ basis.T)
     most = int(MOST_KEPT * bands)
@@ -109,15 +86,14 @@ def _hysime(products: np.ndarray, pixels: int) -> Subspace:
         raise CalibrationRefused(
             Problem(
                 "E_CORRELATED",
-                "noise and signal cannot be separated: the noise of neighbouring bands is "
-                "correlated, or there are too few bands",
+                "noise and signal cannot be separated: the noise of neighbouring bands is correlated, or there are too few bands",
                 field="denoise",
                 found=f"excess correlation {excess:.2f}, {basis.shape[1]} of {bands} dimensions",
                 expected=f"within ±{CORRELATED:g}, at most {most} dimensions",
                 fix="Remove `denoise` for this camera.",
             )
         )
-    return Subspace(basis, np.sqrt(power), excess, pixels)
+    return Subspace(basis, np.sqrt(power))
 
 
 def _neighbours(covariance: np.ndarray) -> float:
@@ -129,13 +105,11 @@ def _neighbours(covariance: np.ndarray) -> float:
 class Projecting:
     """Projects blocks of lines on a subspace, and gathers what that takes away.
 
-    Rare real spectra are what projection deletes: `most`, of all blocks so far, is of the pixel that lost most the rms
-    over bands of (removed/noise), little above 1 for noise, far above where rare spectra (gold, glare) were lost.
+    Rare real spectra are what projection deletes: `most`, of all blocks so far, is of the pixel that lost most the rms over
+    bands of (removed/noise), little above 1 for noise, far above where rare spectra (gold, glare) were lost.
 
-    Notes
-    -----
-    With P = EEᵀ a denoised value has the variance Σⱼ Pᵢⱼ² uⱼ². A pixel that loses more than noise explains,
-    Σ removed² > (1 + 4√(2/(b − k))) Σ u²(removed), gets what it lost, band by band, on top.
+    With P = EEᵀ a denoised value has the variance Σⱼ Pᵢⱼ² uⱼ². A pixel that loses more than noise explains, Σ removed² >
+    (1 + 4√(2/(b − k))) Σ u²(removed), gets what it lost, band by band, on top.
     """
 
     def __init__(self, subspace: Subspace) -> None:
@@ -151,7 +125,6 @@ class Projecting:
         self, block: np.ndarray, variance: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Return lines, (lines, samples, bands), projected, and their variance; spectra with NaN as they are."""
-
         spectra, basis = np.array(_spectra(block)), self.subspace.basis
         good = np.isfinite(spectra).all(1)
         whole = spectra[good].astype(np.float64)

@@ -1,10 +1,10 @@
 """Interpolation error of a mosaic: the variance by which interpolated values miss detail between the sensels.
 
-Where a sensel differs from the mean of its two neighbours of the same phase, the scene has detail that
-interpolation between sensels cannot know. How much such disagreement means for a method is tried on the
-scene itself: of every period of the pattern one sensel a channel makes a smaller picture of which all
-channels are known; it is made a mosaic again, interpolated, and compared. For a method that compares channels, as Malvar's,
-they are moved to the middle of the period before: lying apart they would spoil what it gains.
+Where a sensel differs from the mean of its two neighbours of the same phase, the scene has detail that interpolation between
+sensels cannot know. How much such disagreement means for a method is tried on the scene itself: of every period of the
+pattern one sensel a channel makes a smaller picture of which all channels are known; it is made a mosaic again, interpolated,
+and compared. For a method that compares channels, as Malvar's, they are moved to the middle of the period before: lying apart
+they would spoil what it gains.
 """
 
 from __future__ import annotations
@@ -20,31 +20,22 @@ from levkas.core.threads import each, in_threads
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
 
-FEWEST = 5000  # values of a channel in the smaller picture from which the trial counts
-Interpolate = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray | None]]
-MOST = 300_000  # of these that are looked at
+FEWEST, MOST = 5000, 300_000
+"""Values of a channel in the smaller picture from which the trial counts, and that are looked at: half or twice move sigma by 1 %."""
 QUANTILES = (0.0, 0.25, 0.5, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.98, 0.99, 0.995, 1.0)
-EDGE = 3  # periods of the smaller picture at its border, where stencils are others
+EDGE = 3
+"""Periods of the smaller picture at its border, where stencils are others."""
+
+Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Values, flags and variance."""
+Interpolate = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray | None]]
 
 
 def disagreement(values: np.ndarray, variance: np.ndarray, period: tuple[int, int]) -> np.ndarray:
-    """Return the local disagreement of sensels with their neighbours, free of noise.
+    """Return the local disagreement of sensels with their neighbours a period away, free of noise, (h, w) float32, >= 0.
 
-    Parameters
-    ----------
-    values, variance : ndarray, (h, w), float32
-        Of a mosaic, and of its noise.
-    period : (rows, columns)
-        Of its pattern.
+    Mean over a period to each side, and down and across, of (v − (v₋ + v₊)/2)² − u² − (u₋² + u₊²)/4.
 
-    Returns
-    -------
-    squared : ndarray, (h, w), float32
-        Mean over a period to each side, and down and across, of (v − (v₋ + v₊)/2)² − u² − (u₋² + u₊²)/4
-        with neighbours a period away; at least 0.
-
-    Examples
-    --------
     >>> y, x = np.mgrid[:12, :12].astype("f4")
     >>> float(disagreement(3 * x + y, 0 * x, (2, 2)).max())  # a plane has no detail
     0.0
@@ -55,8 +46,7 @@ def disagreement(values: np.ndarray, variance: np.ndarray, period: tuple[int, in
         step = period[axis]
         v, u = np.moveaxis(values, axis, 0), np.moveaxis(variance, axis, 0)
         rough = v[step:-step] - (v[2 * step :] + v[: -2 * step]) / 2
-        noise = u[step:-step] + (u[2 * step :] + u[: -2 * step]) / 4
-        found = rough * rough - noise
+        found = rough * rough - (u[step:-step] + (u[2 * step :] + u[: -2 * step]) / 4)
         found[~np.isfinite(found)] = 0
         return found
 
@@ -70,35 +60,24 @@ def disagreement(values: np.ndarray, variance: np.ndarray, period: tuple[int, in
     return np.maximum(smooth[0] / np.maximum(smooth[1], 1e-6), 0.0)
 
 
-Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Values, flags and variance."""
-
-
 def interpolation_variance(
     mosaic: Planes, table: np.ndarray, interpolate: Interpolate, *, compares: bool = False
 ) -> np.ndarray:
-    """Return the variance by which interpolated values miss the scene, beside their noise.
+    """Return the variance by which interpolated values miss the scene, beside their noise, (h, w, c); 0 where measured.
+
+    E² = g(d²) with d² from `disagreement` and g from the trial, channel by channel: the mean of (interpolated − true)² less
+    the noise of both in groups of like d², rising; in proportion beyond the last. Where the picture is too small for a trial,
+    E² = d².
 
     Parameters
     ----------
-    mosaic : (values, flags, variance), ndarray, (h, w)
+    mosaic : (values, flags, variance), (h, w) each
     table : ndarray, (rows, columns), int
         Channel at each place of the pattern.
     interpolate : callable
         (values, flags, variance) of a mosaic → (h, w, c) of each.
     compares : bool
         Whether it compares channels.
-
-    Returns
-    -------
-    variance : ndarray, (h, w, c), float32
-        0 where the channel was measured.
-
-    Notes
-    -----
-    E² = g(d²) with d² from `disagreement` and g from the trial, channel by channel: the mean of
-    (interpolated − true)² less the noise of both in groups of like d², rising; in proportion beyond
-    the last. Where the picture is too small for a trial, E² = d².
     """
     rough = disagreement(mosaic[0], mosaic[2], (table.shape[0], table.shape[1]))
     curves = _trial(_smaller(mosaic, table, together=compares), table, interpolate)
@@ -117,26 +96,21 @@ def _follow(start, stop, rough, table, curves, found):  # type: ignore[no-untype
             d = np.float64(rough[y, x])
             own = table[y % table.shape[0], x % table.shape[1]]
             for k in range(channels):
-                at, mean = curves[k, 0], curves[k, 1]
+                at, mean, g = curves[k, 0], curves[k, 1], 1
                 if k == own:
                     found[y, x, k] = 0.0
                 elif d >= at[groups - 1]:
                     found[y, x, k] = mean[groups - 1] * d / max(at[groups - 1], 1e-30)
                 else:
-                    g = 0
                     while g < groups - 1 and d > at[g]:
                         g += 1
-                    low = max(g - 1, 0)
-                    span = at[g] - at[low]
-                    part = (d - at[low]) / span if span > 0.0 else 1.0
-                    found[y, x, k] = mean[low] + max(part, 0.0) * (mean[g] - mean[low])
+                    part = (d - at[g - 1]) / max(at[g] - at[g - 1], 1e-30)
+                    part = min(max(part, 0.0), 1.0)
+                    found[y, x, k] = mean[g - 1] + part * (mean[g] - mean[g - 1])
 
 
 def _smaller(mosaic: Planes, table: np.ndarray, *, together: bool) -> Planes:
-    """Return one sensel a channel of every period as a picture, (h, w, c) of each.
-
-    `together`: each is moved to the middle of the period.
-    """
+    """Return one sensel a channel of every period as a picture, (h, w, c) of each; `together` moved to the middle of the period."""
     rows, columns = table.shape
     size = (mosaic[0].shape[0] // rows, mosaic[0].shape[1] // columns)
     planes: list[Planes] = []

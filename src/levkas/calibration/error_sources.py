@@ -1,14 +1,14 @@
 """What makes a value uncertain, how large it is, and what it is common to: rows of an uncertainty budget.
 
 A value is its true one and a sum of errors of first order, q = q₀ + Σₖ cₖ ξₖ, with independent ξₖ of mean 0 and variance 1
-([jcgm2008]_, 5.1; [mittaz2019]_ for images). The coefficients cₖ of all numbers that one error touches belong together: so the
-mean of many pixels is no better known than what they share, and what two numbers share leaves their ratio.
+([jcgm2008]_, 5.1, doi:10.59161/JCGM100-2008E; [mittaz2019]_ for images). The coefficients cₖ of all numbers that one error touches
+belong together: so the mean of many pixels is no better known than what they share, and what two numbers share leaves their ratio.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -40,20 +40,13 @@ class ErrorSource:
         Within what one draw of the error holds.
     all_bands : bool
         Whether one draw holds for all bands, or each band has its own.
-    basis : Basis
-        From where the size is known.
     advice : str
         Of an unknown one: what to capture or to declare, to know it.
     owner : str
         Which camera or campaign has the error in common where that is not where it stands: the file of a white's certificate.
     zero_at : mapping of str to float
         Value of each band at which the error is nil, the other side of which it has the other sign: a bent curve leaves
-        what is as bright as the white, stray light what is as bright as the mean of the view. None: at no value.
-
-    Examples
-    --------
-    >>> ErrorSource("white", "relative", {"R": 0.01}, "campaign", all_bands=True, basis="declared").to_dict()["size"]
-    {'R': 0.01}
+        what is as bright as the white, stray light what is as bright as the mean of the view. Empty: at no value.
     """
 
     name: str
@@ -67,34 +60,24 @@ class ErrorSource:
     zero_at: Mapping[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the row, JSON-ready; without what is empty."""
-        row = {
-            "source": self.name,
-            "unit": self.unit,
-            "size": {band: float(f"{size:.4g}") for band, size in self.size.items()},
-            "common_to": self.common_to,
-            "all_bands": self.all_bands,
-            "basis": self.basis,
-            "advice": self.advice,
-            "owner": self.owner,
-            "zero_at": {band: float(f"{at:.4g}") for band, at in self.zero_at.items()},
-        }
+        """Return the row, JSON-ready, sizes with four digits; without what is empty."""
+        row = {"source": self.name, **asdict(self)}
+        for key in ("size", "zero_at"):
+            row[key] = {band: float(f"{number:.4g}") for band, number in row[key].items()}
+        del row["name"]
         return {key: value for key, value in row.items() if value not in ("", {})}
 
     @classmethod
     def from_dict(cls, row: Mapping[str, Any]) -> ErrorSource:
         """Read what `to_dict` gave; raises KeyError, TypeError or ValueError where it is none."""
-        more = {key: row[key] for key in ("basis", "advice", "owner") if key in row}
-        size, zero_at = (
-            {str(band): float(number) for band, number in dict(row.get(key, {})).items()}
-            for key in ("size", "zero_at")
-        )
-        if row["unit"] not in get_args(Unit) or row["common_to"] not in get_args(Extent):
-            raise ValueError(f"{row['source']}: {row['unit']}, common to {row['common_to']}")
-        return cls(
-            *(row["source"], row["unit"], size, row["common_to"]),
-            all_bands=bool(row["all_bands"]), zero_at=zero_at, **more,
-        )  # fmt: skip
+        own = {"name": row["source"], **row}
+        del own["source"]
+        for key in ("size", "zero_at"):
+            own[key] = {str(band): float(number) for band, number in dict(row.get(key, {})).items()}
+        made = cls(**own)
+        if made.unit not in get_args(Unit) or made.common_to not in get_args(Extent):
+            raise ValueError(f"{made.name}: {made.unit}, common to {made.common_to}")
+        return made
 
 
 Part = tuple[str, str, Hashable]
@@ -103,13 +86,7 @@ Part = tuple[str, str, Hashable]
 
 @dataclass(frozen=True, eq=False)
 class Uncertain:
-    """Numbers, and how each error moves them.
-
-    Parameters
-    ----------
-    values : ndarray, (n,)
-    parts : mapping of Part to ndarray, (n,)
-        Coefficients cₖ, in the unit of the values.
+    """Numbers (n,), and how each error moves them: coefficients cₖ (n,) in the unit of the values.
 
     Examples
     --------
@@ -134,8 +111,8 @@ class Uncertain:
     @property
     def sigma(self) -> np.ndarray:
         """Standard uncertainty of each value, (n,)."""
-        rows = np.array([*self.parts.values()]).reshape(-1, len(self.values))
-        return np.sqrt(np.einsum("pk,pk->k", rows, rows))
+        total: Any = sum((row**2 for row in self.parts.values()), np.zeros(len(self.values)))
+        return np.asarray(np.sqrt(total))
 
     def pick(self, places: Sequence[int]) -> Uncertain:
         """Return some of the numbers, (m,)."""
@@ -155,20 +132,17 @@ class Uncertain:
     ) -> Uncertain:
         """Return a function of the values, (n,) to (m,), with each error carried on by its slope, ([jcgm2008]_, Eq. 13).
 
-        Parameters
-        ----------
-        function : callable
-            Smooth over the errors.
-        step : float
-            Half of what each value is changed by to find the slope.
+        The function is smooth over the errors; `step` is half of what each value is changed by to find the slope.
         """
         at = np.asarray(self.values, float)
-        steps = step * np.eye(len(at))
         slopes = np.array(
-            [(np.ravel(function(at + d)) - np.ravel(function(at - d))) / (2 * step) for d in steps]
+            [
+                (np.ravel(function(at + d)) - np.ravel(function(at - d))) / (2 * step)
+                for d in step * np.eye(len(at))
+            ]
         )
-        made = np.ravel(function(at))
-        return Uncertain(made, {part: row @ slopes for part, row in self.parts.items()})
+        parts = {part: row @ slopes for part, row in self.parts.items()}
+        return Uncertain(np.ravel(function(at)), parts)
 
 
 def join(several: Sequence[Uncertain]) -> Uncertain:
@@ -186,22 +160,20 @@ def join(several: Sequence[Uncertain]) -> Uncertain:
 
 @dataclass(frozen=True, eq=False)
 class MeanSpectrum:
-    """What is known of the mean of some pixels, band by band.
+    """What is known of the mean of some pixels, band by band, (n,) each.
 
     Parameters
     ----------
-    labels : sequence of str, (n,)
-    values : ndarray, (n,)
     random : ndarray, (n,)
         Standard uncertainty by what pixels do not share: 0 where it is not known.
     wavelengths : ndarray, (n,), nm
         NaN where a band has none.
-    sigma : ndarray, (n,), optional
-        Root mean square of the pixels' sigma; that of one pixel is `random`.
     gradient : ndarray, (2, n), per px, optional
         Slope of the mean in x and in y.
     lines : int
         Over how many lines of a scan the pixels lie.
+    sigma : ndarray, (n,), optional
+        Root mean square of the pixels' sigma; that of one pixel is `random`.
     """
 
     labels: Sequence[str]
@@ -233,49 +205,38 @@ def uncertain_mean(
 ) -> Uncertain:
     """Return the mean of some pixels with all that is known to make it uncertain.
 
-    Parameters
-    ----------
-    sources : iterable of ErrorSource
-        Those common to a pixel are in `mean.random` and are left out; but for rows in units of sigma, which are shares of it that
-        bands have in common, or a region, and leave the rest to each pixel and band. Two rows of one name in two units are two errors.
-    layer, camera : str
-        Whose errors they are: a capture's, and its camera's in all captures.
-    region : hashable
-        Name of the pixels: their noise is no other pixels'.
+    Sources common to a pixel are in `mean.random` and are left out; but for rows in units of sigma, which are shares of it that
+    bands have in common, or a region, and leave the rest to each pixel and band. Two rows of one name in two units are two
+    errors. `layer` and `camera` say whose errors they are; `region` names the pixels, whose noise is no other pixels'.
 
-    Examples
-    --------
     >>> grey = MeanSpectrum(["R"], np.array([0.5]), np.array([0.003]), np.array([np.nan]))
     >>> white = ErrorSource("white", "relative", {"R": 0.01}, "campaign", all_bands=True)
     >>> uncertain_mean(grey, [white], layer="icon1/d80").sigma.round(5).tolist()
     [0.00583]
     """
-    n, sources = len(mean.values), [*sources]
+    sources = [*sources]
+    owners = dict.fromkeys(get_args(Extent), layer) | {"camera": camera or layer, "campaign": ""}
+    parts: dict[Part, np.ndarray] = {}
+
+    def one_by_one(row: np.ndarray, name: str, owner: str, draw: tuple[Hashable, ...]) -> None:
+        for k in np.flatnonzero(row).tolist():
+            parts[name, owner, (*draw, mean.labels[k])] = np.where(np.arange(len(row)) == k, row, 0)
+
     of_sigma = [_sizes(mean, source) for source in sources if source.unit == "sigma"]
     left = np.sqrt(np.maximum(1 - np.sum(np.square(of_sigma), 0), 0)) * mean.random
-    parts: dict[Part, np.ndarray] = {
-        ("noise", layer, (region, k)): np.where(np.arange(n) == k, left, 0.0)
-        for k in range(n)
-        if left[k] > 0
-    }
-    owners = dict.fromkeys(get_args(Extent), layer) | {"camera": camera or layer, "campaign": ""}
+    one_by_one(left, "noise", layer, (region,))
     for source in sources:
         if source.common_to == "pixel" and source.unit != "sigma":
             continue
-        sizes = _sizes(mean, source)
-        if source.common_to == "line":
-            sizes = sizes / np.sqrt(mean.lines)
+        sizes = _sizes(mean, source) / np.sqrt(mean.lines if source.common_to == "line" else 1)
         owner = source.owner or owners[source.common_to]
-        draw: Hashable = region if source.common_to in ("pixel", "line", "region") else ""
+        place: Hashable = region if source.common_to in ("pixel", "line", "region") else ""
         for axis, row in enumerate(_coefficients(mean, source) * sizes):
-            if not row.any():
-                continue
-            if source.all_bands:
-                parts[source.name, owner, (draw, source.unit, axis)] = row
-                continue
-            for k in np.flatnonzero(row).tolist():
-                alone = np.where(np.arange(n) == k, row, 0.0)
-                parts[source.name, owner, (draw, source.unit, axis, mean.labels[k])] = alone
+            draw = (place, source.unit, axis)
+            if not source.all_bands:
+                one_by_one(row, source.name, owner, draw)
+            elif row.any():
+                parts[source.name, owner, draw] = row
     return Uncertain(np.asarray(mean.values, float), parts)
 
 
@@ -298,22 +259,3 @@ def _coefficients(mean: MeanSpectrum, source: ErrorSource) -> np.ndarray:
     if source.unit == "relative":
         return (values * np.where(known, 1 - values / np.where(known, zero, 1.0), 1.0))[None]
     return np.where(known, zero - values, 1.0)[None]
-
-
-def expected_ratio(first: Uncertain, second: Uncertain) -> np.ndarray:
-    """Return E_n of pairs of values, (n,): their difference over its expanded uncertainty.
-
-    As [iso13528]_, 9.7, has it: |Eₙ| above 1 says that two numbers contradict each other by more than their uncertainties allow.
-
-    Examples
-    --------
-    >>> a, b = (Uncertain(np.array([v]), {("noise", name, 0): np.array([0.01])}) for v, name in ((0.5, "a"), (0.55, "b")))
-    >>> expected_ratio(a, b).round(2).tolist()
-    [1.77]
-    """
-    n = len(first.values)
-    apart = join([first, second]).through(lambda v: v[n:] - v[:n])
-    sigma = apart.sigma
-    return np.divide(
-        np.abs(apart.values), COVERAGE * sigma, out=np.full(n, np.nan), where=sigma > 0
-    )

@@ -1,14 +1,13 @@
 """Demosaicing: every channel at every sensel, in native pixels, none of them shifted.
 
-A *stencil* holds the weights by which a mosaic's sensels make one channel at one place. All are exact
-on a constant and on a plane, at the borders too: Σw = 1, Σw·dx = 0, Σw·dy = 0. A stencil depends on
-the phase and on how near the border is, so a frame of any size has a few hundred of them.
+A *stencil* holds the weights by which a mosaic's sensels make one channel at one place. All are exact on a constant and on a
+plane, at the borders too: Σw = 1, Σw·dx = 0, Σw·dy = 0. A stencil depends on the phase and on how near the border is, so a
+frame of any size has a few hundred of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,24 +20,19 @@ from levkas.core.cube import Flag
 from levkas.core.problems import Problem
 from levkas.core.threads import in_threads
 
-LARGEST = 4.0  # Σ|w| of a stencil that extrapolates; a larger window is tried before more
-WINDOWS = 4  # how many periods a window may reach to each side
+LARGEST = 4.0
+"""Σ|w| of a stencil that extrapolates; a larger window is tried before more. 2 or 6 change the outermost two sensels only."""
+WINDOWS = 4
+"""Periods that a window may reach to each side, towards a border alone."""
 Taps = list[tuple[int, int, float, bool]]
 """Offsets (dy, dx), weight, and whether the sensel is of the channel that is made."""
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """One sensel of a frame, as a stencil sees it: where it is and what is around it.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Of the frame.
-    table : ndarray, (rows, columns), int
-        Channel at each place of the pattern.
-    weights : ndarray like `table`, float
-        How much a sensel of each phase counts; 0: not at all.
+    `table` (rows, columns) is the channel at each place of the pattern; `weights`, like it, how much a sensel of each phase
+    counts, 0: not at all.
     """
 
     y: int
@@ -46,11 +40,6 @@ class Place:
     shape: tuple[int, int]
     table: np.ndarray
     weights: np.ndarray
-
-    @property
-    def channel(self) -> int:
-        """The channel that is recorded here."""
-        return self.channel_at(0, 0)
 
     def channel_at(self, dy: int, dx: int) -> int:
         """Return the channel recorded dy rows below and dx columns to the right."""
@@ -67,22 +56,18 @@ Method = Callable[[Place, int], Taps]
 
 
 def normalised(place: Place, channel: int) -> Taps:
-    """Return first-order normalised convolution under a tent of one period's half width.
+    """Return first-order normalised convolution under a tent of one period's half width; what was measured is kept.
 
-    What was measured is kept. On a Bayer pattern this is bilinear interpolation.
+    On a Bayer pattern this is bilinear interpolation.
     """
-    if place.channel == channel:
-        return [(0, 0, 1.0, True)]
-    return smoothed(place, channel)
+    return [(0, 0, 1.0, True)] if place.channel_at(0, 0) == channel else smoothed(place, channel)
 
 
 def smoothed(place: Place, channel: int) -> Taps:
     """Return the same without keeping what was measured: neighbours of the channel count too.
 
-    Notes
-    -----
-    Weights are k(1 + a·dx + b·dy)·c with the tent k, where a, b and c make the moments right
-    [knutsson1993]_. Where the tent does not hold enough samples (borders) it is widened.
+    Weights are k(1 + a·dx + b·dy)·c with the tent k, where a, b and c make the moments right [knutsson1993]_. Where the tent
+    does not hold enough samples (borders) it is widened.
     """
     best: Taps = []
     for periods in _windows(place):
@@ -96,11 +81,8 @@ def smoothed(place: Place, channel: int) -> Taps:
         if exact or not best:
             if not exact:
                 weights = tent / tent.sum()
-            best = [
-                (int(v), int(h), float(w), True)
-                for v, h, w in zip(dy, dx, weights, strict=True)
-                if abs(w) > 1e-12
-            ]
+            taps = zip(dy.tolist(), dx.tolist(), weights.tolist(), strict=True)
+            best = [(v, h, w, True) for v, h, w in taps if abs(w) > 1e-12]
         if exact and np.abs(weights).sum() <= LARGEST:
             break
     return best
@@ -109,16 +91,15 @@ def smoothed(place: Place, channel: int) -> Taps:
 def _windows(place: Place) -> list[tuple[int, int]]:
     """Return how many periods to try down and across, least first.
 
-    Only towards a border does a window grow: one period holds samples on all sides elsewhere, and
-    what is far from a border must not depend on it.
+    Only towards a border does a window grow: one period holds samples on all sides elsewhere, and what is far from a border
+    must not depend on it.
     """
-    sizes = [
-        range(1, WINDOWS + 1) if at < period or at >= length - period else range(1, 2)
-        for at, length, period in zip(
-            (place.y, place.x), place.shape, place.table.shape, strict=True
-        )
-    ]
-    return sorted(((v, h) for v in sizes[0] for h in sizes[1]), key=lambda n: (sum(n), n))
+    at, periods = (place.y, place.x), place.table.shape
+    down, across = (
+        range(1, WINDOWS + 1 if i < period or i >= length - period else 2)
+        for i, length, period in zip(at, place.shape, periods, strict=True)
+    )
+    return sorted(((v, h) for v in down for h in across), key=lambda n: (sum(n), n))
 
 
 def _samples(
@@ -135,132 +116,96 @@ def _samples(
     return dy[kept], dx[kept], tent[kept]
 
 
-# Eq. numbers and masks of [malvar2004]_, Figure 2, over 16.
-_GREEN_AT_COLOUR = """
-    0  0 -2  0  0
-    0  0  4  0  0
-   -2  4  8  4 -2
-    0  0  4  0  0
-    0  0 -2  0  0"""
-_COLOUR_AT_GREEN_IN_ITS_ROW = """
-    0  0  1  0  0
-    0 -2  0 -2  0
-   -2  8 10  8 -2
-    0 -2  0 -2  0
-    0  0  1  0  0"""
-_COLOUR_AT_COLOUR = """
-    0  0 -3  0  0
-    0  4  0  4  0
-   -3  0 12  0 -3
-    0  4  0  4  0
-    0  0 -3  0  0"""
-
-
 def _mask(text: str) -> np.ndarray:
     return np.array(text.split(), float).reshape(5, 5) / 16
+
+
+GREEN_AT_COLOUR = _mask("0 0 -2 0 0  0 0 4 0 0  -2 4 8 4 -2  0 0 4 0 0  0 0 -2 0 0")
+COLOUR_IN_ITS_ROW = _mask("0 0 1 0 0  0 -2 0 -2 0  -2 8 10 8 -2  0 -2 0 -2 0  0 0 1 0 0")
+COLOUR_AT_COLOUR = _mask("0 0 -3 0 0  0 4 0 4 0  -3 0 12 0 -3  0 4 0 4 0  0 0 -3 0 0")
+"""Masks of [malvar2004]_, doi:10.1109/ICASSP.2004.1326587, Figure 2."""
 
 
 def malvar(place: Place, channel: int) -> Taps:
     """Return Malvar, He and Cutler's gradient-corrected mask; `normalised` within 2 of a border.
 
-    Raises
-    ------
-    CalibrationRefused
-        E_VALUE where the pattern is not a Bayer one (2x2, one channel on a diagonal).
+    Raises CalibrationRefused, E_VALUE where the pattern is not a Bayer one (2x2, one channel on a diagonal).
     """
-    green = _green(place.table)
-    if place.channel == channel or not place.holds(2):
-        return normalised(place, channel)
-    if channel == green:
-        mask = _mask(_GREEN_AT_COLOUR)
-    elif place.channel != green:
-        mask = _mask(_COLOUR_AT_COLOUR)
-    else:
-        mask = _mask(_COLOUR_AT_GREEN_IN_ITS_ROW)
-        mask = mask if place.channel_at(0, 1) == channel else mask.T
-    return [
-        (int(y) - 2, int(x) - 2, float(mask[y, x]), place.channel_at(y - 2, x - 2) == channel)
-        for y, x in np.argwhere(mask)
-    ]
-
-
-def _green(table: np.ndarray) -> int:
-    diagonals = {(int(table[0, 0]), int(table[1, 1])), (int(table[0, 1]), int(table[1, 0]))}
-    greens = [a for a, b in diagonals if a == b] if table.shape == (2, 2) else []
-    if len(greens) != 1 or len(np.unique(table)) != 3:
+    green, own = _green(place.table), place.channel_at(0, 0)
+    if green is None:
+        size = "{}x{}".format(*place.table.shape)
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
                 "this demosaicing needs a Bayer pattern",
                 field="demosaic",
-                found=f"{table.shape[0]}x{table.shape[1]} pattern of {len(np.unique(table))}",
+                found=f"{size} pattern of {len(np.unique(place.table))}",
                 expected="2x2, one of three channels on a diagonal",
                 fix='Use demosaic = "normalised".',
             )
         )
-    return greens[0]
+    if own == channel or not place.holds(2):
+        return normalised(place, channel)
+    if channel == green:
+        mask = GREEN_AT_COLOUR
+    elif own != green:
+        mask = COLOUR_AT_COLOUR
+    else:
+        in_row = place.channel_at(0, 1) == channel
+        mask = COLOUR_IN_ITS_ROW if in_row else COLOUR_IN_ITS_ROW.T
+    return [
+        (y - 2, x - 2, float(mask[y, x]), place.channel_at(y - 2, x - 2) == channel)
+        for y, x in np.argwhere(mask).tolist()
+    ]
+
+
+def _green(table: np.ndarray) -> int | None:
+    """Return the channel on a diagonal of a Bayer pattern; None of any other pattern."""
+    if table.shape != (2, 2) or len(np.unique(table)) != 3:
+        return None
+    for one, other in ((table[0, 0], table[1, 1]), (table[0, 1], table[1, 0])):
+        if one == other:
+            return int(one)
+    return None
 
 
 class Stencils(NamedTuple):
     """All stencils of a frame, laid out for the kernel.
 
-    `rows` and `columns` give each row and column its class; stencil (r, c, k) of row class r,
-    column class c and channel k has the taps ``start[i]:start[i + 1]``, i = (r·C + c)·K + k.
+    `rows` (h,) gives each row its class; `places` (C, 3) each column class its first column, its step and its count. Stencil
+    (r, c, k) of row class r, column class c and channel k has the taps ``start[i]:start[i + 1]``, i = (r·C + c)·K + k.
     """
 
     rows: np.ndarray
-    columns: np.ndarray
+    places: np.ndarray
     start: np.ndarray
     dy: np.ndarray
     dx: np.ndarray
     weight: np.ndarray
     own: np.ndarray
     channels: int
-    reach: int
 
 
 def lay_out(
-    table: np.ndarray,
-    shape: tuple[int, int],
-    method: Method,
-    weights: np.ndarray | None = None,
+    table: np.ndarray, shape: tuple[int, int], method: Method, weights: np.ndarray | None = None
 ) -> Stencils:
-    """Return the stencils of `method` for every kind of place in a frame of `shape`.
-
-    Parameters
-    ----------
-    table : ndarray, (rows, columns), int
-        Channel at each place of the pattern.
-    shape : tuple of int
-        (h, w), at least one period.
-    method : callable
-        (place, channel) → taps (dy, dx, weight, of the same channel).
-    weights : ndarray like `table`, optional
-        See `Place`; default 1.
-    """
+    """Return the stencils of a method for every kind of place in a frame of `shape`; `table` and `weights` as of `Place`."""
     rows, row_class = _classes(shape[0], table.shape[0])
     columns, column_class = _classes(shape[1], table.shape[1])
     heights = np.ones(table.shape) if weights is None else np.asarray(weights, float)
     channels = int(table.max()) + 1
     taps: Taps = []
     start = [0]
-    for y in rows:
-        for x in columns:
-            place = Place(int(y), int(x), shape, table, heights)
+    for y in rows.tolist():
+        for x in columns.tolist():
             for channel in range(channels):
-                taps += method(place, channel)
+                taps += method(Place(y, x, shape, table, heights), channel)
                 start.append(len(taps))
+    alike = [np.flatnonzero(column_class == kind) for kind in range(len(columns))]
+    places = [(at[0], at[1] - at[0] if len(at) > 1 else 1, len(at)) for at in alike]
     dy, dx, weight, own = (np.array(part) for part in zip(*taps, strict=True))
     return Stencils(
-        row_class,
-        column_class,
-        np.array(start),
-        dy,
-        dx,
-        weight,
-        own.astype(np.uint8),
-        channels,
-        int(np.abs(dy).max()),
+        row_class, np.array(places), np.array(start), dy, dx, weight, own.astype("u1"), channels
     )
 
 
@@ -282,86 +227,52 @@ NEAR = np.uint8(Flag.NEAR.value)
 def _weigh(first_row, stop, planes, plan, out):  # type: ignore[no-untyped-def]
     """Fill rows with Σwv, flags and, where there is room for it, Σw²u², all (h, w, channels).
 
-    `planes` are values, flags, variance, and the rows with any flag. Places of one kind, evenly apart, take each tap together.
+    `planes` are values, flags, variance, and the rows that have a flag within reach. Places of one kind take each tap together.
     """
     values, flags, variance, marked = planes
     colours, noted, spread = out
-    rows, columns, start, _, _, _, _, channels, reach = plan
-    height, width = values.shape
-    known = len(spread) > 0
-    kinds = 0
-    for x in range(width):
-        kinds = max(kinds, columns[x] + 1)
-    counts, firsts, steps = (
-        np.zeros(kinds, np.int64),
-        np.zeros(kinds, np.int64),
-        np.zeros(kinds, np.int64),
-    )
-    for x in range(width - 1, -1, -1):
-        kind = columns[x]
-        steps[kind] = max(firsts[kind] - x, 1)
-        firsts[kind], counts[kind] = x, counts[kind] + 1
-    sums = np.empty(width)
+    known, kinds, channels = len(spread) > 0, len(plan.places), plan.channels
+    sums, squares = np.empty(values.shape[1]), np.empty(values.shape[1])
     for y in range(first_row, stop):
-        near = False
-        for v in range(max(0, y - reach), min(height, y + reach + 1)):
-            near |= marked[v]
         for kind in range(kinds):
-            places = firsts[kind], steps[kind], counts[kind]
+            first, step, count = plan.places[kind]
             for k in range(channels):
-                at = (rows[y] * kinds + kind) * channels + k
-                _add_taps(values, y, places, plan, at, False, sums)
-                _lay(sums, places, colours[y, :, k])
-                if known:
-                    _add_taps(variance, y, places, plan, at, True, sums)
-                    _lay(sums, places, spread[y, :, k])
-                for j in range(counts[kind] if near else 0):
-                    x = firsts[kind] + j * steps[kind]
-                    noted[y, x, k] = _merge_flags(flags, y, x, plan, start[at], start[at + 1])
+                at = (plan.rows[y] * kinds + kind) * channels + k
+                sums[:count], squares[:count] = 0.0, 0.0
+                for i in range(plan.start[at], plan.start[at + 1]):
+                    w, v, x = plan.weight[i], y + plan.dy[i], first + plan.dx[i]
+                    for j in range(count):
+                        sums[j] += w * values[v, x + j * step]
+                    for j in range(count if known else 0):
+                        squares[j] += w * w * variance[v, x + j * step]
+                for j in range(count):
+                    colours[y, first + j * step, k] = sums[j]
+                for j in range(count if known else 0):
+                    spread[y, first + j * step, k] = squares[j]
+                for j in range(count if marked[y] else 0):
+                    x = first + j * step
+                    noted[y, x, k] = _merge_flags(flags, y, x, plan, at)
 
 
 @njit
-def _add_taps(plane, y, places, plan, at, squared, sums):  # type: ignore[no-untyped-def]
-    """Fill `sums` with Σwv of the taps `at` for some places of row `y`, first, step and count; of weights `squared`."""
-    first, step, count = places
-    for j in range(count):
-        sums[j] = 0.0
-    for i in range(plan.start[at], plan.start[at + 1]):
-        share = plan.weight[i] * plan.weight[i] if squared else plan.weight[i]
-        v, x = y + plan.dy[i], first + plan.dx[i]
-        for j in range(count):
-            sums[j] += share * plane[v, x + j * step]
+def _merge_flags(flags, y, x, plan, at):  # type: ignore[no-untyped-def]
+    """Return the flags of the value that the stencil `at` gives at (y, x).
 
-
-@njit
-def _lay(sums, places, row):  # type: ignore[no-untyped-def]
-    first, step, count = places
-    for j in range(count):
-        row[first + j * step] = sums[j]
-
-
-@njit
-def _merge_flags(flags, y, x, plan, begin, end):  # type: ignore[no-untyped-def]
-    """Return the flags of the value that the taps ``begin:end`` give at (y, x).
-
-    A tap on the place itself hands its flags on as they are. Any other flagged tap sets NEAR, and
-    hands on its bits too where it is of the same channel (`own`).
+    A tap on the place itself hands its flags on as they are. Any other flagged tap sets NEAR, and hands on its bits too where
+    it is of the same channel (`own`).
     """
-    dy, dx, own, flag = plan.dy, plan.dx, plan.own, np.uint8(0)
-    for i in range(begin, end):
-        bits = flags[y + dy[i], x + dx[i]]
-        if bits and dy[i] == 0 and dx[i] == 0 and own[i]:
+    flag = np.uint8(0)
+    for i in range(plan.start[at], plan.start[at + 1]):
+        dy, dx, own = plan.dy[i], plan.dx[i], plan.own[i]
+        bits = flags[y + dy, x + dx]
+        if bits and dy == 0 and dx == 0 and own:
             flag |= bits
         elif bits:
-            flag |= NEAR | (bits if own[i] else np.uint8(0))
+            flag |= NEAR | (bits if own else np.uint8(0))
     return flag
 
 
-METHODS: dict[str, Method] = {
-    "malvar": malvar,
-    "bilinear": normalised,
-    "normalised": normalised,
-}
+METHODS: dict[str, Method] = {"malvar": malvar, "bilinear": normalised, "normalised": normalised}
 
 
 def demosaic(
@@ -373,40 +284,31 @@ def demosaic(
     method: str | None = None,
     channels: Sequence[str] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Interpolate every channel of a mosaic at every sensel.
+    """Interpolate every channel of a mosaic at every sensel: values, flags, variance, (h, w, c) each.
+
+    Raises CalibrationRefused: E_VALUE where method or pattern do not fit, E_SIZE for less than one period.
 
     Parameters
     ----------
     values : ndarray, (h, w), float32
         Best after the flat field and with defects replaced; NaN spreads.
     flags : ndarray, (h, w), uint8
-        Bits of `cube.Flag`.
+        Bits of `cube.Flag`. An interpolated value is NEAR where a flagged sensel took part, with that sensel's bits if it was
+        of the same channel. Measured values keep value and flags.
     variance : ndarray, (h, w), float32, or None
-        Of `values`, taken as independent from sensel to sensel.
+        Of `values`, independent from sensel to sensel. That of interpolated values holds detail between the sensels, `detail`.
     pattern : str or rows of channel names
         ``"RGGB"`` or any rows; names may repeat.
     method : str, optional
-        ``"malvar"`` [malvar2004]_, for Bayer patterns; ``"bilinear"`` and ``"normalised"`` are
-        both first-order normalised convolution under a tent, which on a Bayer pattern *is*
-        bilinear. Default: Malvar for Bayer patterns, normalised for all others.
+        ``"malvar"`` [malvar2004]_, for Bayer patterns; ``"bilinear"`` and ``"normalised"`` are both first-order normalised
+        convolution under a tent. Default: Malvar for Bayer patterns, normalised for all others.
     channels : sequence of str, optional
         Order of the last axis; default that of first appearance in `pattern`.
 
-    Returns
-    -------
-    values, flags, variance : ndarray, (h, w, c), float32, uint8, float32 or None
-        The variance of interpolated values holds that of detail between the sensels, see `detail`. An interpolated value is NEAR where a flagged sensel took part, with that sensel's bits
-        if it was of the same channel. Measured values keep value and flags.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_VALUE where method or pattern do not fit, E_SIZE for less than one period.
-
     Notes
     -----
-    Away from borders Malvar's and bilinear values are those of `colour-demosaicing` (to 1e-6 of
-    the range); within 2 sensels of a border that library mixes the phases, this one does not.
+    Away from borders Malvar's and bilinear values are those of `colour-demosaicing` (to 1e-6 of the range); within 2 sensels
+    of a border that library mixes the phases, this one does not.
 
     Examples
     --------
@@ -419,25 +321,22 @@ def demosaic(
     table, stencil = method_of(pattern, method, channels)
     colours, noted, spread = interpolate(values, flags, variance, table, stencil)
     if variance is not None and spread is not None:
-        side = 8 * max(table.shape)
         spread += interpolation_variance(
             (values, flags, variance),
             table,
             lambda v, f, u: interpolate(v, f, u, table, stencil),
-            compares=not lay_out(table, (side, side), stencil).own.all(),
+            compares=stencil is malvar,
         )
     return colours, noted, spread
 
 
 def method_of(
-    pattern: str | Sequence[Sequence[str]],
-    method: str | None,
-    channels: Sequence[str] | None,
+    pattern: str | Sequence[Sequence[str]], method: str | None, channels: Sequence[str] | None
 ) -> tuple[np.ndarray, Method]:
     """Return the table of a pattern and the stencils of a method, arguments and refusals as of `demosaic`."""
     table = channel_table(pattern, channels)
     if method is None:
-        method = "malvar" if _is_bayer(table) else "normalised"
+        method = "normalised" if _green(table) is None else "malvar"
     if method not in METHODS:
         raise CalibrationRefused(
             Problem(
@@ -459,11 +358,7 @@ def interpolate(
     method: Method,
     weights: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Apply a stencil method to a mosaic whose pattern is `table`, (rows, columns) of indices.
-
-    Arguments and results as in `demosaic`; `weights` as in `Place`.
-    """
-
+    """Apply a stencil method to a mosaic whose pattern is `table`, without the variance of detail; else as `demosaic`."""
     if values.ndim != 2 or any(n < p for n, p in zip(values.shape, table.shape, strict=True)):
         raise CalibrationRefused(
             Problem(
@@ -476,20 +371,16 @@ def interpolate(
     shape = (values.shape[0], values.shape[1])
     plan = lay_out(table, shape, method, weights)
     spreads = np.zeros((1, 1), np.float32) if variance is None else variance
+    reach = int(np.abs(plan.dy).max())
+    flagged = np.convolve(np.any(flags, axis=1), np.ones(2 * reach + 1), "full")[reach:][: shape[0]]
     planes = (
         read_only(np.ascontiguousarray(values, np.float32)),
         read_only(np.ascontiguousarray(flags, np.uint8)),
         read_only(np.ascontiguousarray(spreads, np.float32)),
-        np.any(flags, axis=1),
+        flagged > 0,
     )
     full = (*shape, plan.channels)
     colours, noted = np.empty(full, np.float32), np.zeros(full, np.uint8)
     spread = np.empty(full if variance is not None else (0, *full[1:]), np.float32)
     in_threads(_weigh, shape[0], planes, plan, (colours, noted, spread), worth=colours.size)
     return colours, noted, None if variance is None else spread
-
-
-def _is_bayer(table: np.ndarray) -> bool:
-    if table.shape != (2, 2) or len(np.unique(table)) != 3:
-        return False
-    return table[0, 0] == table[1, 1] or table[0, 1] == table[1, 0]

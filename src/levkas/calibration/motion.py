@@ -1,24 +1,26 @@
 """Motion detection: pixels whose spread over shots, or over exposures, exceeds the noise (chi-squared test).
 
-A pixel's sample variance over its expected one is summed over it and its eight neighbours of the same
-channel; in still places nine times (shots − 1) of it follows chi-squared.
+A pixel's sample variance over its expected one is summed over it and its eight neighbours of the same channel; in still places
+nine times (shots − 1) of it follows chi-squared.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 
+import cv2
 import numpy as np
 
 from levkas.calibration.noise_fit import NoiseModel
-from levkas.calibration.templates import Template, as_marks, as_rows, read_only
-from levkas.core.compiled import njit
-from levkas.core.threads import in_threads
+from levkas.calibration.templates import Template
 
-BY_CHANCE = 1e-10  # of one pixel: a false one in a thousand frames of 10 megapixels
-BESIDE = 1e-3  # of one pixel beside others that moved
-NONLINEAR = 0.01  # of the signal, from exposure to exposure: `linearity` allows as much
-MISFIT = 1.5  # of the variance: what a fitted noise model may be off by
+BY_CHANCE, BESIDE = 1e-10, 1e-3
+"""Of one pixel: a false one in a thousand frames of 10 megapixels; and beside others that moved, the edge of a movement."""
+NONLINEAR = 0.01
+"""Of the signal, from exposure to exposure: `linearity` allows as much."""
+MISFIT = 1.5
+"""Of the variance: what a fitted noise model may be off by; 1.2 or 2 move the least movement that is found by a tenth."""
+Period = tuple[int, int]
 
 
 def find_moved(
@@ -26,33 +28,14 @@ def find_moved(
     noise: NoiseModel,
     dark: np.ndarray | float = 0.0,
     *,
-    period: tuple[int, int] = (1, 1),
+    period: Period = (1, 1),
 ) -> np.ndarray:
-    """Find pixels that did not stand still.
+    """Find pixels that did not stand still over the shots of a stack, bool like it; nowhere for a single shot.
 
-    Parameters
-    ----------
-    stack : Template, (h, w) or (h, w, b)
-        Of two shots or more.
-    noise : NoiseModel
-        Of one shot.
-    dark : ndarray that broadcasts to the stack, or float
-        Counts without light.
-    period : (rows, columns)
-        Of a mosaic: neighbours are those of the same phase.
+    The whole neighbourhood of a movement is marked, of a mosaic of `period` (rows, columns) that of one phase. A lamp that
+    flickers by f adds (f·signal)², which noise fitted to the same stack holds already; saturated pixels are passed over, for
+    they stand still whatever happens. `dark` are counts without light.
 
-    Returns
-    -------
-    moved : ndarray of bool, shape of the stack
-        Nowhere for a single shot. The whole neighbourhood of a movement is marked.
-
-    Notes
-    -----
-    A lamp that flickers by f adds (f·signal)², which noise fitted to the same stack holds already;
-    saturated pixels are passed over, for they stand still whatever happens.
-
-    Examples
-    --------
     >>> rng = np.random.default_rng(1)
     >>> frames = [np.float32(rng.normal(1000, 10, (40, 40))) for _ in range(3)]
     >>> frames[1][20:25, 20:25] += 200
@@ -61,22 +44,12 @@ def find_moved(
     >>> bool(moved[20:25, 20:25].all()), int(moved.sum()) <= 49
     (True, True)
     """
-    shape = stack.mean.shape
     if stack.variance is None or stack.count < 2:
-        return np.zeros(shape, bool)
-    level = np.atleast_2d(np.asarray(dark, np.float32))
-    if level.size > 1:
-        level = np.broadcast_to(level, (level.shape[0], *shape[1:]))
-    depth = shape[2] if len(shape) == 3 else 1
-    rows, columns = period[0], period[1] * depth
-    planes = as_rows(stack.mean), as_rows(stack.variance), as_marks(stack.saturated), as_rows(level)
-    model = noise.gain, noise.read_variance, _limit(stack.count - 1)
-    mean, spread, full, level = map(read_only, planes)
-    numbers = tuple(map(np.float32, model))
-    ratio, marked = np.empty(mean.shape, np.float32), np.empty(mean.shape, bool)
-    in_threads(_compare, len(mean), mean, spread, full, level, numbers, ratio)
-    in_threads(_mark, len(mean), ratio, (rows, columns), numbers[2], marked)
-    return marked.reshape(shape)
+        return np.zeros(stack.mean.shape, bool)
+    light = np.maximum(stack.mean - np.asarray(dark, np.float32), 0)
+    ratio = stack.variance / (np.float32(noise.read_variance) + np.float32(noise.gain) * light)
+    ratio[stack.saturated | ~np.isfinite(ratio)] = 0
+    return _around(_sum, ratio, period) > _limit(stack.count - 1)
 
 
 def find_moved_between(
@@ -87,9 +60,11 @@ def find_moved_between(
     *,
     reads: Sequence[float] | None = None,
     left_out: Sequence[np.ndarray] | None = None,
-    period: tuple[int, int] = (1, 1),
+    period: Period = (1, 1),
 ) -> np.ndarray:
-    """Find pixels that did not stand still from one exposure of a scene to the next.
+    """Find pixels that did not stand still from one exposure of a scene to the next, bool like a shot.
+
+    One sensel may make up half of what a neighbourhood deviates by: one that blinks or is hot marks itself alone.
 
     Parameters
     ----------
@@ -99,19 +74,10 @@ def find_moved_between(
         Counts without light of each.
     rate : ndarray like a shot
         What they were merged to, counts a second.
-    noise : NoiseModel
-        Of one shot.
     reads : sequence of float, optional
         Variance without light of each exposure, counts²; the noise model's by default.
     left_out : sequence of ndarray of bool, optional
-        What takes no part in each shot, saturated and black values besides.
-    period : (rows, columns)
-        Of a mosaic: neighbours are those of the same phase.
-
-    Returns
-    -------
-    moved : ndarray of bool, shape of a shot
-        Nowhere where fewer than two exposures are usable.
+        What takes no part in each shot, saturated and black values besides. Where fewer than two are left nothing is marked.
 
     Examples
     --------
@@ -125,46 +91,46 @@ def find_moved_between(
     >>> bool(moved[20:25, 20:25].all()), int(moved.sum()) <= 49
     (True, True)
     """
-    shape = shots[0].mean.shape
-    total, used = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
-    bad = [s.saturated | s.black for s in shots]
-    bad = bad if left_out is None else [b | m for b, m in zip(bad, left_out, strict=True)]
-    reads = reads or [noise.read_variance] * len(shots)
-    for shot, level, read, lost in zip(shots, levels, reads, bad, strict=True):
+    total, used = np.zeros(rate.shape, np.float32), np.zeros(rate.shape, np.uint8)
+    for i, (shot, level) in enumerate(zip(shots, levels, strict=True)):
+        lost = shot.saturated | shot.black
+        if left_out is not None:
+            lost = lost | left_out[i]
         expected = np.maximum(rate, 0) * np.float32(shot.exposure_s or 0.0)
+        read = reads[i] if reads else noise.read_variance
         spread = (read + noise.gain * expected) / shot.count + (NONLINEAR * expected) ** 2
         total += np.where(lost, 0, (shot.mean - level - expected) ** 2 / spread)
         used += ~lost
-    total[used < 2] = 0
-    return _disagree(total, len(shots) - 1, period)  # where fewer took part the limit is safe
-
-
-def _disagree(total: np.ndarray, freedom: int, period: tuple[int, int]) -> np.ndarray:
-    """Return where sums of squared deviations over noise do not come by chance, bool like `total`.
-
-    One sensel may make up half of what a neighbourhood deviates by: one that blinks or is hot marks itself alone.
-    Beside what is marked, less marks a pixel: the edge of a movement.
-    """
-    rows, columns = period
-
-    def around(values: np.ndarray) -> Iterator[np.ndarray]:
-        padded = np.pad(values, [(rows, rows), (columns, columns), (0, 0)][: values.ndim])
-        height, width = values.shape[:2]
-        for y in (0, rows, 2 * rows):
-            for x in (0, columns, 2 * columns):
-                yield padded[y : y + height, x : x + width]
-
-    summed, most = np.zeros_like(total), np.zeros_like(total)
-    for part in around(total):
-        summed += part
-        np.maximum(most, part, out=most)
+    total[(used < 2) | ~np.isfinite(total)] = 0
+    freedom = len(shots) - 1  # where fewer took part the limit is safe
+    summed, most = (_around(work, total, period) for work in (_sum, _largest))
     limit = freedom * _limit(freedom)
     marked = (summed > limit) & (summed - most > limit / 2)
     marked |= total > freedom * _limit(freedom, 1)
-    beside = np.zeros_like(marked)
-    for part in around(marked):
-        beside |= part
+    beside = _around(_largest, marked.astype(np.uint8), period) > 0
     return marked | (beside & (total > freedom * _limit(freedom, 1, BESIDE)))
+
+
+def _around(
+    work: Callable[[np.ndarray], np.ndarray], plane: np.ndarray, period: Period
+) -> np.ndarray:
+    """Return a statistic of 3x3 neighbours of the same phase and band of a plane, like it."""
+    found = np.empty_like(plane)
+    for y, x in np.ndindex(period):
+        phase = np.s_[y :: period[0], x :: period[1]]
+        part = np.ascontiguousarray(plane[phase])
+        found[phase] = work(part).reshape(part.shape)
+    return found
+
+
+def _sum(part: np.ndarray) -> np.ndarray:
+    return cv2.boxFilter(part, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+
+
+def _largest(part: np.ndarray) -> np.ndarray:
+    return cv2.dilate(
+        part, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
 
 
 def _limit(freedom: int, pixels: int = 9, chance: float = BY_CHANCE) -> float:
@@ -172,34 +138,3 @@ def _limit(freedom: int, pixels: int = 9, chance: float = BY_CHANCE) -> float:
     from scipy.special import gammainccinv
 
     return MISFIT * 2 * float(gammainccinv(pixels * freedom / 2, chance)) / freedom
-
-
-@njit(cache=True)
-def _compare(start, stop, mean, variance, saturated, dark, model, ratio):  # type: ignore[no-untyped-def]
-    """Fill the variance over what noise explains, 0 where saturated.
-
-    `model` is (gain, variance without light, limit), float32.
-    """
-    gain, read, _ = model
-    for y in range(start, stop):
-        dy, dx = y % dark.shape[0], dark.shape[1] > 1
-        for x in range(mean.shape[1]):
-            light = max(mean[y, x] - dark[dy, x * dx], np.float32(0.0))
-            still = np.float32(1 - saturated[y, x])
-            ratio[y, x] = still * variance[y, x] / (read + gain * light)
-
-
-@njit(cache=True)
-def _mark(start, stop, ratio, period, limit, marked):  # type: ignore[no-untyped-def]
-    """Fill where a pixel and its neighbours, those beyond the border left out, pass the limit."""
-    rows, columns = period
-    height, width = ratio.shape
-    column = np.empty(width + 2 * columns, np.float32)
-    for y in range(start, stop):
-        column[:] = np.float32(0.0)
-        for v in range(max(y - rows, y % rows), min(y + rows + 1, height), rows):
-            for x in range(width):
-                column[x + columns] += ratio[v, x]
-        for x in range(width):
-            total = column[x] + column[x + columns] + column[x + 2 * columns]
-            marked[y, x] = total > limit

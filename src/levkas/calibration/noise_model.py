@@ -1,8 +1,7 @@
-"""Noise of a sensor in closed form: Eqs. (1) and (2) of [mirhashemi2019]_.
+"""Noise of a sensor in closed form: Eqs. (1) and (2) of [mirhashemi2019]_, doi:10.3390/computation7030047.
 
-A raw value in photo-electrons is, Eq. (2), ``shot · (1 + u) + dark · (1 + v) + read`` with Poisson
-counts of means e and d, u ~ N(0, prnu), v ~ N(0, dsnu), read ~ N(0, read).  `simulation.sensing`
-draws frames from it; here are its moments.
+A raw value in photo-electrons is, Eq. (2), ``shot · (1 + u) + dark · (1 + v) + read`` with Poisson counts of means e and d,
+u ~ N(0, prnu), v ~ N(0, dsnu), read ~ N(0, read).  `simulation.sensing` draws frames from it; here are its moments.
 """
 
 from __future__ import annotations
@@ -15,6 +14,8 @@ import numpy as np
 @dataclass(frozen=True)
 class Sensor:
     """Sensor of the noise model; the defaults are the example of [mirhashemi2019]_.
+
+    Raises ValueError where a spread or the dark current is negative, or gain or full well is not positive.
 
     Parameters
     ----------
@@ -32,20 +33,6 @@ class Sensor:
         Of the analogue-digital converter.
     full_well : float
         Electrons at which a sensel saturates, > 0.
-
-    Raises
-    ------
-    ValueError
-        Where a spread or the dark current is negative, or gain or full well is not positive.
-
-    Notes
-    -----
-    Eq. (2) of [mirhashemi2019]_, doi:10.3390/computation7030047.
-
-    Examples
-    --------
-    >>> Sensor(bits=14).saturation
-    16383
     """
 
     dark: float = 32.0
@@ -72,33 +59,11 @@ class Sensor:
 
 
 def noise_variance(exposure: float | np.ndarray, sensor: Sensor) -> np.ndarray:
-    """Variance of one raw pixel value.
+    """Return the variance of one raw value, electrons², of `exposure` mean photo-electrons; ValueError where one is negative.
 
-    Parameters
-    ----------
-    exposure : float or ndarray, any shape
-        Mean photo-electrons e, >= 0.
-    sensor : Sensor
-        `dark`, `read` in electrons; `prnu`, `dsnu` relative. All are standard deviations.
+    Second moment of Eq. (2), valid below full well. Over many sensels; the frames of one sensel share u and v, so that their
+    variance lacks ``(prnu·e)² + (dsnu·d)²``.
 
-    Returns
-    -------
-    variance : ndarray, same shape as `exposure`
-        Electrons squared.
-
-    Raises
-    ------
-    ValueError
-        Where an exposure is negative.
-
-    Notes
-    -----
-    Second moment of Eq. (2) of [mirhashemi2019]_, doi:10.3390/computation7030047, terms independent. Valid below full well.
-    Over many sensels; the frames of one sensel share u and v, so that their variance lacks
-    ``(prnu·e)² + (dsnu·d)²``.
-
-    Examples
-    --------
     >>> float(noise_variance(0.0, Sensor(dark=0, read=5.0)))
     25.0
     """
@@ -113,23 +78,9 @@ def noise_variance(exposure: float | np.ndarray, sensor: Sensor) -> np.ndarray:
 def snr_db(
     exposure: float | np.ndarray, sensor: Sensor, *, subtract_dark: bool = True
 ) -> np.ndarray:
-    """Signal-to-noise ratio in the dB of Eq. (1): 10·log10(mean/std), half of EMVA 1288's.
+    """Return the signal-to-noise ratio in the dB of Eq. (1), 10·log10(mean/std), half of EMVA 1288's; -inf without signal.
 
-    Parameters
-    ----------
-    exposure : float or ndarray, any shape
-        Mean photo-electrons, >= 0.
-    subtract_dark : bool
-        False counts the dark current as signal, as Figure 3 of the paper does.
-
-    Returns
-    -------
-    snr : same shape as `exposure`
-        dB; -inf where there is no signal.
-
-    Examples
-    --------
-    Figure 3 starts at +6.26 dB without light, for its mean includes the dark current:
+    Without `subtract_dark` the dark current counts as signal, as in Figure 3 of the paper, which starts at +6.26 dB:
 
     >>> round(float(snr_db(0.0, Sensor(), subtract_dark=False)), 2)
     6.26
@@ -141,16 +92,11 @@ def snr_db(
 
 
 def dynamic_range_db(sensor: Sensor, *, floor: float | None = None) -> float:
-    """Full well over the smallest signal, in the paper's 20·log10.
+    """Return full well over the smallest signal, `floor` electrons, in the paper's 20·log10.
 
-    Parameters
-    ----------
-    floor : float, optional
-        Smallest signal in electrons. Left out, it is EMVA 1288's: the exposure whose SNR is one,
-        ``sqrt(dark noise² + 1/4) + 1/2``. The paper's 63 dB puts 32 electrons here.
+    Left out, it is EMVA 1288's: the exposure whose SNR is one, ``sqrt(dark noise² + 1/4) + 1/2``. The paper's 63 dB puts 32
+    electrons here.
 
-    Examples
-    --------
     >>> round(dynamic_range_db(Sensor(), floor=32.0)), round(dynamic_range_db(Sensor()), 1)
     (63, 74.9)
     """

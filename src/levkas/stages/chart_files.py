@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from glob import escape
-from math import prod
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,7 +18,7 @@ from levkas.quality.targets.edges import EdgePlace
 from levkas.readers.frames import read_facts, read_frame
 
 if TYPE_CHECKING:
-    from levkas.database.catalogue import Entry
+    from levkas.database.layout import LayerId
     from levkas.readers.facts import Facts
 
 NO_NATIVE = (
@@ -30,28 +28,15 @@ NO_NATIVE = (
 NOTE = "one cube: the noise is the spread within each patch, including its texture"
 
 
-class Subject(NamedTuple):
-    """Where a chart may be.
-
-    A name for people, the chart (None where only its slanted edges are measured), cubes sensor by sensor,
-    whether it must be there, the quantity of the cubes, slanted edges by sensor, and what is to be known of it.
-    """
+class ChartFiles(NamedTuple):
+    """Where a chart is: its name for people, the chart (None where only its slanted edges are measured), cubes by sensor."""
 
     name: str
     chart: Chart | None
     files: dict[str, Path]
-    certain: bool
     quantity: str = "reflectance"
     edges: Mapping[str, tuple[EdgePlace, ...]] = MappingProxyType({})
-    note: str = ""
-
-    def read(self, path: Path) -> CubeFile:
-        """Read one of its cubes."""
-        cube, notes = read_cube_file(path)
-        notes = (*notes, self.note) if self.note else notes
-        if self.quantity != "reflectance":
-            cube = replace(cube, quantity=self.quantity)
-        return CubeFile(cube, notes)
+    notes: tuple[str, ...] = ()
 
 
 def is_database(path: Path) -> bool:
@@ -59,79 +44,66 @@ def is_database(path: Path) -> bool:
     return (path / "catalogue.csv").is_file() and not (path / "campaign.toml").is_file()
 
 
-def subjects_of(
+def charts_in(
     database: Path,
     kind: str,
     *,
     cameras: Sequence[str] = (),
     objects: Sequence[str] = (),
-    corners: bool = False,
-) -> Iterator[Subject]:
-    """Yield the charts that a database keeps in charts/, and the layers of the requested objects.
+    on_grid: bool = False,
+) -> Iterator[ChartFiles]:
+    """Yield the charts that a database keeps in charts/, or the layers of the objects that are a chart of this kind.
 
-    Parameters
-    ----------
-    kind : str
-        Chart that is looked for in layers; charts/ says its own.
-    cameras : sequence of str
-        Only these.
-    objects : sequence of str
-        Their layers are looked at, on the grid and in native pixels; where charts/ is empty and none
-        is named, those of all, on the grid.
-    corners : bool
-        Whether the chart's corners are given: they are places on the grid.
+    Layers are looked at on the grid and, if not `on_grid` alone, in native pixels; `cameras` are the only ones.
 
-    Raises
-    ------
-    ChartRefused
-        E_VALUE where there is no such camera or object.
-    DatabaseRefused
-        Where the catalogue cannot be read.
+    Raises ChartRefused: E_VALUE where there is no such camera or object, E_CHART_MISSING where there is no chart;
+    DatabaseRefused where the catalogue cannot be read.
     """
     from levkas.database.catalogue import read_catalogue
 
-    entries = read_catalogue(database)
-    kept = list(_kept(database))
-    known = {e.camera for e in entries} | {camera for camera, _ in kept}
-    _check(database, "--camera", cameras, known)
-    _check(database, "--object", objects, {e.object for e in entries})
-    for camera, subject in kept:
-        if not objects and (not cameras or camera in cameras):
-            yield subject
-    if kept and not objects:
+    entries, kept = read_catalogue(database), [*_kept(database)]
+    known = {"--camera": {e.camera for e in entries} | {camera for camera, _ in kept}}
+    known["--object"] = {e.object for e in entries}
+    problems = [
+        unknown_name(f"the database has no {option[2:]} of this name", name, sorted(known[option]),
+                     file=str(database), field=option)
+        for option, wanted in (("--camera", cameras), ("--object", objects))
+        for name in wanted
+        if name not in known[option]
+    ]  # fmt: skip
+    if not kept and not objects:
+        fix = "Name the object that is a chart with --object."
+        problems.append(
+            Problem("E_CHART_MISSING", "the database keeps no chart", str(database), fix=fix)
+        )
+    if problems:
+        raise ChartRefused(*problems)
+    if not objects:
+        yield from (one for camera, one in kept if not cameras or camera in cameras)
         return
     for entry in entries:
-        if (objects and entry.object not in objects) or (cameras and entry.camera not in cameras):
+        if entry.object not in objects or (cameras and entry.camera not in cameras):
             continue
         file = database / f"{entry.layer.path}.tif"
         check_inside(database, file, database / f"{entry.layer.path}.flags.tif")
         name = f"{entry.object}/{entry.layer.name}"
-        chart = kind_of(kind)
-        both = bool(objects) and not corners
-        native = _native_files(database, entry) if both else {}
-        note = NO_NATIVE if both and not native else ""
-        facts = bool(objects), entry.quantity
-        yield Subject(name, chart, {"": file}, *facts, note=note)
+        native = {} if on_grid else _native_files(database, entry.layer)
+        notes = () if native or on_grid else (NO_NATIVE,)
+        yield ChartFiles(name, kind_of(kind), {"": file}, entry.quantity, notes=notes)
         if native:
-            name = f"{name}, native pixels"
-            yield Subject(name, chart, native, True, entry.quantity)
+            yield ChartFiles(f"{name}, native pixels", kind_of(kind), native, entry.quantity)
 
 
-def _native_files(database: Path, entry: Entry) -> dict[str, Path]:
+def _native_files(database: Path, layer: LayerId) -> dict[str, Path]:
     """Return the native cubes of a layer, sensor by sensor; none where they are not kept."""
     from levkas.database.layout import Places
     from levkas.database.opening import open_pixels
 
-    def cubes(path: Path) -> list[Path]:
-        found = sorted(path.parent.glob(f"{escape(path.stem)}*.tif"))
-        return [p for p in found if "." not in p.stem[len(path.stem) :]]
-
-    layer = entry.layer
     first = Places(database).native(layer.object, layer.camera, layer.setup, "")
     if first.is_file():  # one sensor: other files of that beginning are other layers'
         check_inside(database, first)
         return {"": first}
-    found = [path for path in cubes(first) if not Path(path).is_symlink()]
+    found = [path for path in _cubes(first.parent, first.stem) if not path.is_symlink()]
     check_inside(database, *found)
     labels = {path: open_pixels(path).attrs for path in found}
     return {
@@ -141,52 +113,32 @@ def _native_files(database: Path, entry: Entry) -> dict[str, Path]:
     }
 
 
-def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
-    """Yield (camera, subject) of every chart in charts/, by the records that stand there."""
+def _cubes(folder: Path, stem: str) -> list[Path]:
+    """Return the TIFFs of a beginning, without those of sigma and flags."""
+    found = sorted(folder.glob(f"{escape(stem)}*.tif"))
+    return [path for path in found if "." not in path.stem[len(stem) :]]
+
+
+def _kept(database: Path) -> Iterator[tuple[str, ChartFiles]]:
+    """Yield (camera, files) of every chart in charts/, by the records that stand there."""
     from levkas.core.text import read_json
 
     for record in sorted(database.glob("charts/*/*.json")):
         check_inside(database, *record.parent.glob(f"{escape(record.stem)}*"))
-        notes = read_json(record)
-        files = {
-            path.stem[len(record.stem) :].lstrip("_"): path
-            for path in sorted(record.parent.glob(f"{record.stem}*.tif"))
-            if "." not in path.stem
-        }
-        if isinstance(notes, dict) and "chart" in notes and files:
-            camera = record.stem[len(record.parent.name) + 1 :]
-            name = f"{record.parent.name}/{camera}"
-            was = "counts" if "greatest_code" in notes else "reflectance"  # of earlier databases
-            yield (
-                camera,
-                Subject(
-                    name,
-                    kind_of(str(notes["chart"])),
-                    files,
-                    True,
-                    str(notes.get("quantity", was)),
-                    _kept_edges(notes),
-                ),
+        notes, folder = read_json(record), record.parent
+        files = {p.stem[len(record.stem) :].lstrip("_"): p for p in _cubes(folder, record.stem)}
+        if not isinstance(notes, dict) or "chart" not in notes or not files:
+            continue
+        camera = record.stem[len(folder.name) + 1 :]
+        edges = {
+            str(sensor): tuple(
+                EdgePlace(str(label), (int(x), int(y), int(w), int(h)))
+                for label, (x, y, w, h) in dict(places).items()
             )
-
-
-def _kept_edges(notes: Mapping[str, Any]) -> dict[str, tuple[EdgePlace, ...]]:
-    """Return the slanted edges that the campaign of a kept chart named, by sensor."""
-    named: dict[str, tuple[EdgePlace, ...]] = {}
-    for sensor, places in dict(notes.get("named_edges", {})).items():
-        named[str(sensor)] = tuple(
-            EdgePlace(str(label), (int(x), int(y), int(w), int(h)))
-            for label, (x, y, w, h) in dict(places).items()
-        )
-    return named
-
-
-def _check(database: Path, option: str, wanted: Sequence[str], known: set[str]) -> None:
-    what = f"the database has no {option.removeprefix('--')} of this name"
-    names, file = sorted(known), str(database)
-    unknown = [name for name in wanted if name not in known]
-    if problems := [unknown_name(what, n, names, file=file, field=option) for n in unknown]:
-        raise ChartRefused(*problems)
+            for sensor, places in dict(notes.get("named_edges", {})).items()
+        }
+        chart, quantity = kind_of(str(notes["chart"])), str(notes.get("quantity", "reflectance"))
+        yield camera, ChartFiles(f"{folder.name}/{camera}", chart, files, quantity, edges)
 
 
 class CubeFile(NamedTuple):
@@ -201,9 +153,7 @@ def read_cube_file(path: Path) -> CubeFile:
 
     Flags are read where they stand beside it.
     """
-    top = None
     facts = read_facts(path)
-    plain = np.issubdtype(np.dtype(facts.dtype), np.integer) and facts.wavelengths is None
     if facts.pattern is not None or facts.kind == "raw":
         raise ChartRefused(
             Problem(
@@ -215,10 +165,10 @@ def read_cube_file(path: Path) -> CubeFile:
                 fix="Declare it in a campaign and build that: `levkas look FOLDER --write`.",
             )
         )
-    if plain and (len(facts.shape) == 2 or facts.shape[2] in (1, 3)) and facts.pages == 1:
-        top = greatest_code(facts)
-        values, bands = read_frame(path), _named([np.nan] * (facts.shape[2:] or (1,))[0])
-    elif facts.kind == "tiff":
+    whole = np.issubdtype(np.dtype(facts.dtype), np.integer) and facts.wavelengths is None
+    channels = (facts.shape[2:] or (1,))[0]
+    is_photograph = whole and channels in (1, 3) and facts.pages == 1
+    if facts.kind == "tiff" and not is_photograph:
         values, bands = _read_tiff(path)
     else:
         values, bands = read_frame(path), _named(facts.wavelengths)
@@ -243,9 +193,9 @@ def read_cube_file(path: Path) -> CubeFile:
                 )
             )
         flags = pages.read()
-    if top is not None:
-        flags[values >= top] |= np.uint8(Flag.SATURATED)
-    quantity = "reflectance" if top is None else "counts"
+    if is_photograph:
+        flags[values >= greatest_code(facts)] |= np.uint8(Flag.SATURATED)
+    quantity = "counts" if is_photograph else "reflectance"
     return CubeFile(Cube(values, flags, None, bands, quantity), (NOTE,))
 
 
@@ -260,7 +210,7 @@ def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
     from levkas.readers.facts import check_expansion, check_memory
 
     pages = open_pages(path)
-    samples, itemsize = prod(pages.shape), pages.dtype.itemsize
+    samples, itemsize = int(np.prod(pages.shape)), pages.dtype.itemsize
     check_expansion(path, samples, itemsize, path.stat().st_size)
     check_memory(path, samples, itemsize)
     bands = describe_pages(pages).bands
@@ -269,7 +219,7 @@ def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
     return pages.read(), bands
 
 
-def _named(wavelengths: Any) -> tuple[Band, ...]:
+def _named(wavelengths: Sequence[float] | None) -> tuple[Band, ...]:
     known = [float(w) for w in (wavelengths if wavelengths is not None else [])]
     return tuple(
         Band(f"{w:g} nm" if np.isfinite(w) else f"channel {i + 1}", w) for i, w in enumerate(known)

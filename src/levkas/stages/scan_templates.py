@@ -329,7 +329,7 @@ def _area_behind_mirror(
     if file.shape != shape:
         return WhiteArea()
     shot = FrameLines(context, (file,), times_of(file.frame)).thinned(step)
-    found = find_white_area(shot, white, (level, level), spacing=step)
+    found = find_white_area(shot, white, (level, level))
     rows, columns = (
         np.minimum(np.arange(n) // step, m - 1)
         for n, m in zip(shape[:2], white.mean.shape[:2], strict=True)

@@ -15,10 +15,8 @@ from levkas.geometry.transforms import Affine
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
 
-NOISE_PX = 320
-"""Side of the noise that is resampled to see what neighbours share: it gives variances to 1 %."""
-LEAST_SHARED = 1.04
-"""Less is chance."""
+NOISE_PX, LEAST_SHARED = 320, 1.04
+"""Side of the noise that is resampled to see what neighbours share: it gives variances to 1 %; a factor below is chance."""
 NOISES, REACH, MOST_REACH, CHANCE = 4, 4.0, 16, 0.006
 """Fields of noise whose products are averaged; pixels of the sensor, and most of the grid, over which noise is shared; a correlation
 that is one of chance, three of its standard deviations."""
@@ -32,28 +30,30 @@ class Mosaic(NamedTuple):
     channels: Sequence[str]
 
 
-def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, int]) -> np.ndarray:
-    """Return how much larger the variance of resampled values is than of independent ones, (bands,), >= 1.
+@cache
+def _white_noise(seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
+    noise.flags.writeable = False
+    return noise
 
-    Parameters
-    ----------
-    mosaic : Mosaic
-        What made the values.
-    maps : sequence of Transform
-        Grid px → native px, one a band.
-    shape : (rows, columns) of the grid
 
-    Notes
-    -----
-    White noise of a mosaic is interpolated as the values were, and warped as they are in the middle of
-    the grid: the mean of its squares over that of Σw²u².
-    """
-    noise = _white_noise()
+def _interpolated(seed: int, mosaic: Mosaic) -> tuple[np.ndarray, np.ndarray]:
+    """Return white noise of a mosaic once demosaiced, and Σw²u², (h, w, bands)."""
+    noise = _white_noise(seed)
     table, method = method_of(*mosaic)
     none = np.zeros(noise.shape, np.uint8)
     values, _, variance = interpolate(noise, none, np.ones_like(noise), table, method)
     assert variance is not None
-    return _over_independent(values, variance, maps, shape)
+    return values, variance
+
+
+def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, int]) -> np.ndarray:
+    """Return how much larger the variance of resampled values is than of independent ones, (bands,), >= 1.
+
+    White noise of a mosaic is interpolated as the values were, and warped by `maps`, grid px → native px, one a band, as they are in
+    the middle of the grid, (rows, columns): the mean of its squares over that of Σw²u².
+    """
+    return _over_independent(*_interpolated(0, mosaic), maps, shape)
 
 
 def neighbour_correlation(
@@ -61,21 +61,18 @@ def neighbour_correlation(
 ) -> np.ndarray:
     """Return the correlation of the noise of a pixel of the grid with that of its neighbours, (2r + 1, 2r + 1), 1 in the middle.
 
-    White noise of the sensor is made what the values are, demosaiced and warped as in the middle of the grid; the mean of its products.
-    r is as many pixels as four of the sensor span, 16 at most.
-
-    Parameters
-    ----------
-    maps : sequence of Transform
-        Grid px → native px, one a band: the middle one is taken.
-    shape : (rows, columns) of the grid
+    White noise of the sensor is made what the values are, demosaiced and warped by the middle band's map as in the middle of the
+    grid; the mean of its products. r is as many pixels as four of the sensor span, 16 at most.
     """
     one = [maps[len(maps) // 2]]
     slope = one[0].jacobian(np.array([[shape[1], shape[0]]]) / 2)[0]
     scale = float(np.sqrt(abs(np.linalg.det(slope))))
     reach = int(np.clip(np.ceil(REACH / max(scale, 1e-6)), 1, MOST_REACH))
-    noise = np.stack([_noise_of(seed, mosaic) for seed in range(NOISES)], axis=-1)
-    fields = np.nan_to_num(_warped_locally(noise, one, shape)[0])
+    noises = [_white_noise(seed) for seed in range(NOISES)]
+    if mosaic is not None:
+        band = len(mosaic.channels) // 2
+        noises = [_interpolated(seed, mosaic)[0][..., band] for seed in range(NOISES)]
+    fields = np.nan_to_num(_warped_locally(np.stack(noises, axis=-1), one, shape)[0])
     inner = fields[reach:-reach, reach:-reach]
     whole, middle = (np.fft.rfft2(v, fields.shape[:2], (0, 1)) for v in (fields, inner))
     product = np.sum(whole * np.conj(middle), axis=-1)
@@ -83,23 +80,6 @@ def neighbour_correlation(
     found = np.round(total / total[reach, reach], 4)
     found[np.abs(found) < CHANCE] = 0.0
     return np.asarray(found)
-
-
-def _noise_of(seed: int, mosaic: Mosaic | None) -> np.ndarray:
-    """Return white noise of the sensor, of a mosaic that of the middle channel once demosaiced, (h, w)."""
-    noise = _white_noise(seed)
-    if mosaic is None:
-        return noise
-    table, method = method_of(*mosaic)
-    noise = interpolate(noise, np.zeros(noise.shape, np.uint8), None, table, method)[0]
-    return noise[..., noise.shape[2] // 2]
-
-
-@cache
-def _white_noise(seed: int = 0) -> np.ndarray:
-    noise = np.random.default_rng(seed).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
-    noise.flags.writeable = False
-    return noise
 
 
 def _over_independent(

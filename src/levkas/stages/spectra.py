@@ -14,12 +14,26 @@ from levkas.database.credits import Credits
 from levkas.readers.spectra import are_spectra, parse_spectra
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, SensorFrames
     from levkas.core.cube import Band
+
+VISIBLE = (400.0, 700.0)
+MOST_OF_BOARD, LEAST_OF_BOARD = 0.1, 2e-4
+"""Standard uncertainty of a white board, relative: more is none (0.5 is meant in per cent, 0.98 is a reflectance), and no laboratory
+certifies less than a part in a thousand; half or twice of either changes what is refused in no certificate."""
+COVERED = 0.98
+"""Share of a band's sensitivity over which a spectrum must be known."""
+UNEVEN = 0.005
+"""Of a board over the visible, relative: less is no more than its calibration is worth."""
+LOWEST_NM = 100.0
+
+
+class SpectrumRefused(Refused):
+    """A spectrum that cannot be read or does not cover the bands."""
 
 
 def reference_channel(
@@ -27,8 +41,8 @@ def reference_channel(
 ) -> str:
     """Return the band meant by `CAMERA` without a band.
 
-    The declared `reference_band`, else the band whose wavelength (or sensitivity's centroid) is
-    nearest to the reference band's, else the middle one as declared.
+    The declared `reference_band`, else the band whose wavelength (or sensitivity's centroid) is nearest to `wavelength`, that of
+    the reference band, else the middle one as declared.
     """
     keys = campaign.cameras[camera]
     labels = [band.label for band in bands]
@@ -52,19 +66,11 @@ def middle_band(bands: Sequence[Band]) -> str:
 
 
 def broad_centroids(campaign: Campaign, camera: str, bands: Sequence[Band]) -> dict[str, float]:
-    """Return the centroids of a camera's channels without a centre wavelength, nm, by label.
+    """Return the centroids of a camera's channels without a centre wavelength, nm, by label; `bands` are those of every sensor.
+
+    Empty where no sensitivities are declared; without a channel that nothing reaches.
 
     Raises Refused where the declared table cannot be read.
-
-    Parameters
-    ----------
-    bands : sequence of Band
-        All of the camera, of every sensor.
-
-    Returns
-    -------
-    centroids : dict
-        Empty where no sensitivities are declared; without a channel that nothing reaches.
     """
     declared = campaign.cameras[camera].sensitivity
     broad = [band.label for band in bands if isnan(band.wavelength)]
@@ -76,45 +82,6 @@ def broad_centroids(campaign: Campaign, camera: str, bands: Sequence[Band]) -> d
     return {label: known[label] for label in broad if not isnan(known[label])}
 
 
-def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Read a CSV of wavelength and a column a channel; columns by header where it names them all.
-
-    Raises Refused where it cannot be read, a wavelength occurs twice, or it has not as many columns as there are channels.
-
-    Returns
-    -------
-    wavelengths : ndarray, (n,), nm
-        Ascending, whatever the order of the rows.
-    table : ndarray, (n, channels)
-    """
-    expected = "a CSV with wavelength in nm and one column per channel"
-    try:
-        table, head = parse_spectra(read_text(path, expected))
-        if not are_spectra(table):
-            raise ValueError(f"{len(table)} rows, or wavelengths that are missing or repeated")
-        if table[0, 0] < LOWEST_NM:
-            raise ValueError(f"wavelengths from {table[0, 0]:g} to {table[-1, 0]:g}")
-    except ValueError as error:
-        message = "the sensitivities cannot be read"
-        raise Refused(
-            Problem("E_UNREADABLE", message, str(path), found=str(error), expected=expected)
-        ) from error
-    columns = list(range(1, table.shape[1]))
-    if len(head) == table.shape[1] and all(label in head for label in labels):
-        columns = [head.index(label) for label in labels]
-    if len(columns) != len(labels):
-        raise Refused(
-            Problem(
-                "E_BAND_COUNT",
-                "the sensitivities do not match the channels",
-                str(path),
-                found=f"{len(columns)} columns",
-                expected=f"{len(labels)}: {', '.join(labels)}",
-            )
-        )
-    return table[:, 0], np.nan_to_num(table[:, columns])
-
-
 def centroids(wavelengths: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Return the centroid of each sensitivity, nm.
 
@@ -122,24 +89,8 @@ def centroids(wavelengths: np.ndarray, table: np.ndarray) -> np.ndarray:
     [575.0]
     """
     weights = np.maximum(table, 0)
-    total = weights.sum(0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray((wavelengths[:, None] * weights).sum(0) / total)
-
-
-VISIBLE = (400.0, 700.0)
-MOST_OF_BOARD, LEAST_OF_BOARD = 0.1, 2e-4
-"""Standard uncertainty of a white board, relative: more is none (0.5 is meant in per cent, 0.98 is a reflectance), and no laboratory
-certifies less than a part in a thousand; half or twice of either changes what is refused in no certificate."""
-COVERED = 0.98
-"""Share of a band's sensitivity over which a spectrum must be known."""
-UNEVEN = 0.005
-"""Of a board over the visible, relative: less is no more than its calibration is worth."""
-LOWEST_NM = 100.0
-
-
-class SpectrumRefused(Refused):
-    """A spectrum that cannot be read or does not cover the bands."""
+        return np.asarray((wavelengths[:, None] * weights).sum(0) / weights.sum(0))
 
 
 class BandWeights(NamedTuple):
@@ -154,62 +105,45 @@ class BandWeights(NamedTuple):
         near = np.array([np.interp(self.wavelengths, wavelengths, row) for row in rows])
         return np.asarray((near @ self.weights / self.weights.sum()).reshape(spectra.shape[:-1]))
 
-    def share_within(self, first: float, last: float) -> float:
-        """Return the share of the weights from one wavelength to another, nm."""
-        inside = (self.wavelengths >= first) & (self.wavelengths <= last)
-        return float(self.weights[inside].sum() / self.weights.sum())
-
 
 def weights_of_bands(
     campaign: Campaign, capture: Capture, bands: Sequence[Band]
 ) -> list[BandWeights | None]:
-    """Return what each of some bands of a capture sees of every wavelength; None of a channel of unknown sensitivity.
+    """Return what each of some bands of one sensor sees of every wavelength; None of a channel of unknown sensitivity.
+
+    The declared `sensitivity`, times the spectrum of the setup's light where one is declared; else a Gaussian of the band's width
+    times that light; else its wavelength alone.
 
     Raises Refused where a declared table cannot be read.
-
-    Parameters
-    ----------
-    bands : sequence of Band
-        Of one sensor.
-
-    Returns
-    -------
-    weights : list
-        The declared `sensitivity`, times the spectrum of the setup's light where one is declared; else a Gaussian
-        of the band's width times that light; else its wavelength alone.
     """
-    declared = campaign.cameras[capture.camera].sensitivity
-    light, table = _spectrum_of_light(campaign, capture.setup), {}
-    if declared:
+    setup = campaign.setups.get(capture.setup or campaign.campaign.setup or "default")
+    lamp = np.array([[0.0, 1.0]])  # any light is as good
+    if setup is not None and setup.spectrum is not None:
+        lamp = read_table(campaign.root / setup.spectrum)
+    table: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    if declared := campaign.cameras[capture.camera].sensitivity:
         labels = [band.label for band in capture.bands]
         wavelengths, columns = read_sensitivity(campaign.root / declared, labels)
         wide = np.arange(wavelengths[0], wavelengths[-1] + 0.5, 1.0)
         for label, column in zip(labels, columns.T, strict=True):
-            table[label] = wide, np.maximum(np.interp(wide, wavelengths, column), 0) * light(wide)
+            table[label] = wide, np.maximum(np.interp(wide, wavelengths, column), 0)
     found: list[BandWeights | None] = []
     for band in bands:
+        centre, width = band.wavelength, band.fwhm
         if band.label in table:
             wide, weights = table[band.label]
-        elif isnan(band.wavelength):
+        elif isnan(centre):
             found.append(None)
             continue
-        elif isnan(band.fwhm):
-            wide, weights = np.array([band.wavelength]), np.ones(1)
+        elif isnan(width):
+            found.append(BandWeights(np.array([centre]), np.ones(1)))
+            continue
         else:
-            wide = band.wavelength + np.arange(-1.5, 1.51, 0.05) * band.fwhm
-            weights = np.exp(-4 * np.log(2) * ((wide - band.wavelength) / band.fwhm) ** 2)
-            weights = weights * light(wide)
+            wide = centre + np.arange(-1.5, 1.51, 0.05) * width
+            weights = np.exp(-4 * np.log(2) * ((wide - centre) / width) ** 2)
+        weights = weights * np.interp(wide, lamp[:, 0], lamp[:, 1])
         found.append(BandWeights(wide, weights) if weights.sum() > 0 else None)
     return found
-
-
-def _spectrum_of_light(campaign: Campaign, setup: str) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the relative power of a setup's light over wavelength, as a function; 1 where none is declared."""
-    declared = campaign.setups.get(setup or campaign.campaign.setup or "default")
-    if declared is None or declared.spectrum is None:
-        return lambda nm: np.ones(len(nm))
-    table = read_table(campaign.root / declared.spectrum)
-    return lambda nm: np.interp(nm, table[:, 0], table[:, 1])
 
 
 class BoardInBands(NamedTuple):
@@ -220,18 +154,14 @@ class BoardInBands(NamedTuple):
 
 
 def board_of(campaign: Campaign, capture: Capture, sensor: SensorFrames) -> BoardInBands:
-    """Return the reflectance of the white board as the bands of a sensor see it.
-
-    A channel of unknown sensitivity takes the mean over 400–700 nm.
+    """Return the reflectance of the white board as the bands of a sensor see it; a channel of unknown sensitivity takes the mean over 400–700 nm.
 
     Raises Refused: SpectrumRefused where the CSV of the board cannot be used.
     """
     white, bands = campaign.targets.white, sensor.bands
-    declared = white.reflectance if white and sensor.white else None
-    if declared is None:
-        return BoardInBands(1.0)
+    declared = white.reflectance if white and sensor.white else 1.0
     if not isinstance(declared, str):
-        return BoardInBands(float(declared))
+        return BoardInBands(1.0 if declared is None else float(declared))
     wavelengths, values, _ = read_certificate(campaign.root / declared)
     first, last = float(wavelengths[0]), float(wavelengths[-1])
     known = [band.wavelength for band in bands if not isnan(band.wavelength)]
@@ -256,7 +186,9 @@ def board_of(campaign: Campaign, capture: Capture, sensor: SensorFrames) -> Boar
             found.append(float(broad.mean()))
             continue
         found.append(float(weights.mean_of(wavelengths, values)))
-        if len(weights.weights) > 1 and (share := weights.share_within(first, last)) < COVERED:
+        inside = (weights.wavelengths >= first) & (weights.wavelengths <= last)
+        share = float(weights.weights[inside].sum() / weights.weights.sum())
+        if len(weights.weights) > 1 and share < COVERED:
             beyond[band.label] = share
     notes = []
     apart = float(np.abs(broad / broad.mean() - 1).max())
@@ -267,25 +199,20 @@ def board_of(campaign: Campaign, capture: Capture, sensor: SensorFrames) -> Boar
             f"`cameras.{capture.camera}.sensitivity`"
         )
     if beyond:
-        least = min(beyond.values())
         notes.append(
-            f"{', '.join(beyond)}: the white's spectrum covers {100 * least:.0f} % of the sensitivity; beyond {first:g} to "
-            f"{last:g} nm its first and last values are used"
+            f"{', '.join(beyond)}: the white's spectrum covers {100 * min(beyond.values()):.0f} % of the sensitivity; beyond "
+            f"{first:g} to {last:g} nm its first and last values are used"
         )
     return BoardInBands(np.array(found), tuple(notes))
 
 
 def levels_of_board(campaign: Campaign, capture: Capture) -> dict[str, float]:
     """Return the reflectance of the white board in every band of a capture; raises as `board_of`."""
-    return {
-        band.label: float(level)
-        for sensor in capture.sensors
-        for band, level in zip(
-            sensor.bands,
-            np.broadcast_to(board_of(campaign, capture, sensor).reflectance, len(sensor.bands)),
-            strict=True,
-        )
-    }
+    found: dict[str, float] = {}
+    for sensor in capture.sensors:
+        levels = np.broadcast_to(board_of(campaign, capture, sensor).reflectance, len(sensor.bands))
+        found |= dict(zip((band.label for band in sensor.bands), levels.tolist(), strict=True))
+    return found
 
 
 def read_board_uncertainty(campaign: Campaign, capture: Capture) -> dict[str, float] | None:
@@ -298,26 +225,24 @@ def read_board_uncertainty(campaign: Campaign, capture: Capture) -> dict[str, fl
     white = campaign.targets.white
     if white is None:
         return None
-    boards = levels_of_board(campaign, capture)
+    boards, errors = levels_of_board(campaign, capture), None
     if isinstance(white.reflectance, str):
         wavelengths, _, errors = read_certificate(campaign.root / white.reflectance)
-        if errors is not None:
-            bands = [band for sensor in capture.sensors for band in sensor.bands]
-            weights = weights_of_bands(campaign, capture, bands)
-            return {
-                band.label: float(
-                    errors.mean() if weight is None else weight.mean_of(wavelengths, errors)
-                )
-                / boards[band.label]
-                for band, weight in zip(bands, weights, strict=True)
-            }
+    if errors is not None:
+        bands = [band for sensor in capture.sensors for band in sensor.bands]
+        weights = weights_of_bands(campaign, capture, bands)
+        return {
+            band.label: float(errors.mean() if one is None else one.mean_of(wavelengths, errors))
+            / boards[band.label]
+            for band, one in zip(bands, weights, strict=True)
+        }
     if white.uncertainty is None:
         return None
     return {label: float(white.uncertainty) / level for label, level in boards.items()}
 
 
 def read_certificate(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Read the CSV of a white board: wavelength in nm, its reflectance, and the standard uncertainty of that, None where it has none.
+    """Read the CSV of a white board: wavelength in nm, its reflectance, a share or per cent, and its standard uncertainty, None where it has none.
 
     Raises SpectrumRefused where it is not that, or the third column is no uncertainty of the second.
     """
@@ -346,49 +271,57 @@ def read_certificate(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | N
     return wavelengths, values, errors
 
 
-def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Read a two-column CSV: wavelength in nm, and a share or per cent; a header is allowed.
-
-    Raises SpectrumRefused where it is not that.
-    """
-    table = read_table(path)
-    values = table[:, 1] / 100 if table[:, 1].max() > 2 else table[:, 1]
-    return table[:, 0], values
-
-
 def read_table(path: Path, columns: int = 2) -> np.ndarray:
     """Read the numbers of a CSV, (n, `columns`) or fewer columns where it has no more: wavelengths in nm, rising, and values as they are.
 
     Raises SpectrumRefused where it is not that.
     """
-    expected = "a CSV of wavelength in nm and value"
+    table, _ = _read(path, "a CSV of wavelength in nm and value", columns)
+    if not np.isfinite(table[:, :2]).all():
+        raise _not_spectra(path, "empty cells", "a number in every cell")
+    return table
+
+
+def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Read a CSV of wavelength, (n,) nm, made to ascend, and a column a channel, (n, channels); columns by header where it names them all.
+
+    Raises SpectrumRefused where it cannot be read, a wavelength occurs twice, or it has not as many columns as there are channels.
+    """
+    table, head = _read(path, "a CSV with wavelength in nm and one column per channel", None)
+    columns = list(range(1, table.shape[1]))
+    if len(head) == table.shape[1] and all(label in head for label in labels):
+        columns = [head.index(label) for label in labels]
+    if len(columns) != len(labels):
+        raise SpectrumRefused(
+            Problem(
+                "E_BAND_COUNT",
+                "the sensitivities do not match the channels",
+                str(path),
+                found=f"{len(columns)} columns",
+                expected=f"{len(labels)}: {', '.join(labels)}",
+            )
+        )
+    return table[:, 0], np.nan_to_num(table[:, columns])
+
+
+def _read(path: Path, expected: str, columns: int | None) -> tuple[np.ndarray, list[str]]:
     try:
-        table, _ = parse_spectra(read_text(path, expected), columns=columns)
+        table, head = parse_spectra(read_text(path, expected), columns=columns)
     except TextRefused as refused:
         raise SpectrumRefused(*refused.problems) from None
     except ValueError as error:
-        raise SpectrumRefused(
-            Problem(
-                "E_UNREADABLE",
-                "the spectrum cannot be read",
-                str(path),
-                found=str(error),
-                expected=expected,
-                fix="Name the correct file, or save the table again as CSV.",
-            )
-        ) from error
-    if not are_spectra(table) or not np.isfinite(table[:, :2]).all() or table[0, 0] < LOWEST_NM:
-        raise SpectrumRefused(
-            Problem(
-                "E_VALUE",
-                "this is not a spectrum",
-                str(path),
-                found=f"{len(table)} rows, or repeated wavelengths",
-                expected="at least two rows of wavelength in nm and value",
-                fix="Name the correct file, or correct its rows.",
-            )
-        )
-    return table
+        raise _not_spectra(path, str(error), expected) from error
+    if not are_spectra(table) or table[0, 0] < LOWEST_NM:
+        rows = f"{len(table)} rows, or wavelengths that are missing, repeated or below {LOWEST_NM:g} nm"
+        raise _not_spectra(path, rows, expected)
+    return table, head
+
+
+def _not_spectra(path: Path, found: str, expected: str) -> SpectrumRefused:
+    message, fix = "this is not a table of spectra", "Name the correct file, or correct its rows."
+    return SpectrumRefused(
+        Problem("E_UNREADABLE", message, str(path), found=found, expected=expected, fix=fix)
+    )
 
 
 def credits_of(campaign: Campaign, name: str, captured: str) -> Credits:
