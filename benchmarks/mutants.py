@@ -355,21 +355,21 @@ FAULTS = {
     ),
     # building
     "fingerprint misses the cameras' keys": Fault(
-        "building/fingerprints.py",
-        'prints[f"cameras.{camera.name}.{key}"] = getattr(camera, key)',
-        "pass",
+        "building/inputs.py",
+        "prints = read_by((CALIBRATE, LIGHT, NATIVE), campaign, capture, hashes)",
+        "prints = {}",
         "tests/building/test_staleness.py",
     ),
     "fingerprint misses the frames": Fault(
-        "building/fingerprints.py",
+        "building/inputs.py",
         'prints |= {f"file {path}": content for path, content in files.items()}',
         "pass",
         "tests/building/test_staleness.py",
     ),
     "white's reflectance is no input": Fault(
-        "building/fingerprints.py",
-        'prints["targets.white.reflectance"] = white.reflectance',
-        "pass",
+        "building/inputs.py",
+        "if board or not path",
+        "if not path",
         "tests/building/test_staleness.py",
     ),
     # workbench and publication

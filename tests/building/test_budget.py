@@ -8,8 +8,8 @@ from cameras import KINDS, RGGB, developed, text, write
 
 import levkas
 from levkas.building import status
-from levkas.building.fingerprints import of_report
 from levkas.building.hashes import Hashes
+from levkas.building.inputs import of_report
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused

@@ -157,7 +157,7 @@ def mend(scene):
 
 
 def find_torn(scene, *, reported):
-    """Yield every final name that holds neither the old bytes nor the new ones, and each record without a product.
+    """Yield every final name that holds neither the old bytes nor the new ones, and each record whose product is not there.
 
     Where `reported`, the build went on after a refusal and named it in some files of its own.
     """
@@ -176,7 +176,7 @@ def find_torn(scene, *, reported):
         ):
             yield name
     for stage, products in scene.recorded().items():
-        yield from (f"{stage} without {n}" for n, sha in products.items() if found.get(n) != sha)
+        yield from (f"{stage} without {n}" for n in products.keys() - found)
 
 
 def spread(count, points):

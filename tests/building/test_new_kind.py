@@ -1,7 +1,5 @@
 """A camera kind is one row and one function: the example of the docs is added and built."""
 
-import importlib
-import inspect
 import re
 import shutil
 import sys
@@ -15,7 +13,6 @@ from PIL import Image
 import levkas
 from levkas.building import build, summarise
 from levkas.campaign import camera_kinds
-from levkas.stages.sources import STAGES, files_of
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/howto/add_camera_kind.md"
 
@@ -50,15 +47,3 @@ def test_a_kind_is_added_by_a_row_and_a_function(film, plates, tmp_path):
     there = levkas.open(plates / "database")["one"]["infrared"]
     apart = np.abs(layer.values - there.values)  # registered to the same picture, by its inverse
     assert np.nanmedian(apart) < 0.5 and np.isfinite(apart).sum() > 0.98 * np.isfinite(there).sum()
-
-
-@pytest.mark.parametrize("kind", camera_kinds.KINDS.values(), ids=camera_kinds.KINDS.keys())
-def test_every_row_names_a_function_whose_change_makes_calibrated_layers_stale(kind):
-    module, _, name = kind.develop.partition(":")
-    function = getattr(importlib.import_module(module), name)
-    assert Path(inspect.getfile(function)) in files_of(STAGES["calibrate"])
-
-
-def test_the_function_of_the_page_lies_where_its_change_makes_layers_stale(film):
-    module = camera_kinds.KINDS["film"].develop.partition(":")[0].split(".")
-    assert module[1] in STAGES["calibrate"]

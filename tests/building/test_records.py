@@ -45,17 +45,9 @@ def test_a_finished_stage_is_fresh_for_the_next_build_and_notes_what_it_noted(fo
     records = BuildRecords(*folders)
     assert records.why_stale(KEY, PRINTS) == "" and records.recorded() == [KEY]
     assert records.notes(KEY) == {"captured": "2019-08-29"}
-    assert records.why_stale(KEY, {"code": "2"}) == "code changed"
+    assert records.why_stale(KEY, {"code": "2"}) == 'code "1" → "2"'
     sha = hashlib.sha256(b"pixels").hexdigest()
     assert list(records.products_that_stand()) == [("a.tif", sha)]
-
-
-def test_a_stage_that_is_being_done_anew_is_not_finished_and_what_it_made_is_known(folders):
-    BuildRecords(*folders).forget(KEY)
-    records = BuildRecords(*folders)
-    assert records.why_stale(KEY, PRINTS) == "not yet built"
-    assert records.made_by(KEY) == {"a.tif"} and records.recorded() == [KEY]
-    assert not list(records.products_that_stand())
 
 
 def test_a_refusal_stands_beside_what_was_made_before_and_goes_when_the_stage_is_finished(folders):
@@ -78,7 +70,7 @@ def test_a_damaged_record_is_of_a_stage_that_is_done_again(folders, flipped):
     change(folders[0], f"UPDATE stages SET {flipped}")
     records = BuildRecords(*folders)
     assert records.why_stale(KEY, PRINTS) == "its record is damaged"
-    assert not records.notes(KEY) and not records.recorded() and not records.made_by(KEY)
+    assert not records.notes(KEY) and not records.recorded() and not records.products(KEY)
     records.keep(KEY, PRINTS, [])
     assert BuildRecords(*folders).why_stale(KEY, PRINTS) == ""
 
@@ -159,7 +151,7 @@ def test_a_record_that_another_build_is_writing_is_waited_for_and_then_refused(
     with closing(sqlite3.connect(folders[0] / NAME)) as other:
         other.execute("BEGIN EXCLUSIVE")
         with pytest.raises(WriteRefused):
-            BuildRecords(*folders).forget(KEY)
+            BuildRecords(*folders).drop(KEY)
     assert BuildRecords(*folders).why_stale(KEY, PRINTS) == ""
 
 
@@ -174,7 +166,7 @@ def test_reading_makes_no_file(tmp_path):
 def test_what_a_build_noted_outlasts_another_that_does_the_stage_again(folders):
     mine, other = BuildRecords(*folders), BuildRecords(*folders)
     mine.keep(KEY, PRINTS, [], captured="2019-08-30")
-    other.forget(KEY)
+    other.drop(KEY)
     assert mine.notes(KEY) == {"captured": "2019-08-30"} and other.notes(KEY) == {}
 
 
@@ -217,5 +209,5 @@ def test_where_files_cannot_be_locked_records_are_kept_all_the_same(folders, mon
     monkeypatch.setattr(records_file, "take", lambda descriptor, shared: None)
     records = BuildRecords(*folders)
     assert records.why_stale(KEY, PRINTS) == ""
-    records.forget(KEY)
+    records.drop(KEY)
     assert BuildRecords(*folders).why_stale(KEY, PRINTS) == "not yet built"

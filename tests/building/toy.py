@@ -12,7 +12,6 @@ import hashlib
 import json
 import re
 import shutil
-from functools import partial
 from pathlib import Path
 
 import every_kind
@@ -76,7 +75,7 @@ def _hash(*parts):
 
 
 class Toys:
-    """The three stages: `tasks.Stages.compute` of a build, with what its `Stages` knows."""
+    """The three stages: `tasks.Stages.do` of a build, with what its `Stages` knows."""
 
     def __init__(self):
         self.computed, self.disk_is_full = [], False
@@ -109,12 +108,13 @@ class Toys:
             [getattr(camera, key) for key in KEYS],
             capture.sensors and [(s.pattern, s.bands) for s in capture.sensors],
             light,
+            _read(campaign, camera.sensitivity),
         )
         stages.toy = capture, text
         kept = stages.places.kept / capture.object / capture.layer / "calibrated.txt"
         measured = {s.name: {"sensor": {"text": text}} for s in capture.sensors}
         notes = {"measured": measured if camera.traits.is_calibrated else {}, "captured": None}
-        return partial(_write, [(kept, text)], notes, aside=True)
+        return _write([(kept, text)], notes, aside=True)
 
     def register(self, stages, task):
         campaign, places, capture, lead = (
@@ -138,7 +138,7 @@ class Toys:
             "object": capture.object, "camera": capture.camera, "setup": capture.setup,
             "reference": {"camera": lead.camera}, "verdict": verdict, "method": _hash(*made_of),
         }  # fmt: skip
-        return partial(_write, [(path, json.dumps(record))], {})
+        return _write([(path, json.dumps(record))], {})
 
     def resample(self, stages, task):
         campaign, places, capture, lead = (
@@ -157,7 +157,7 @@ class Toys:
         tiff = places.layer(capture.object, capture.camera, capture.setup)
         layer = places.output / task.key.of.group
         text = _hash(self.text(stages, capture), records, len(under))
-        return partial(_write_layer, tiff, layer, text, campaign, capture)
+        return _write_layer(tiff, layer, text, campaign, capture)
 
 
 def _read(campaign, table):
@@ -175,16 +175,16 @@ def facts_of(campaign, capture):
     )
 
 
-def _write(products, notes, before, *, aside=False):
-    with files.together(before):
+def _write(products, notes, *, aside=False):
+    with files.together():
         for path, text in products:
             files.write_text(path, text)
     paths = tuple(path for path, _ in products)
     return Written((), notes, aside=paths) if aside else Written(paths, notes)
 
 
-def _write_layer(tiff, layer, text, campaign, capture, before):
-    with files.together(before):
+def _write_layer(tiff, layer, text, campaign, capture):
+    with files.together():
         files.write_text(tiff, f"{text}\n{facts_of(campaign, capture)}\n")
         with files.publishing(layer) as made:
             made.write_bytes("zarr.json", b'{"node_type": "group"}')
@@ -194,26 +194,25 @@ def _write_layer(tiff, layer, text, campaign, capture, before):
     return Written([tiff, layer / "zarr.json", layer / "c/0"], {"entry": row.to_row()})
 
 
-def _describe(task, campaign, places, records, before):
+def _describe(task, campaign, places, records):
     key, notes = task.key, records.notes(task.key)
     made = [places.output / name for name in records.products(key)]
     if key.stage != "resample":
-        before()
         return Written(made, notes)
     tiff = places.output / f"{key.of.path}.tif"
     text = tiff.read_text().split()[0]
-    with files.together(before):
+    with files.together():
         files.write_text(tiff, f"{text}\n{facts_of(campaign, task.capture)}\n")
     return Written(made, notes | {"entry": [*notes["entry"][:9], hash_file(tiff)]})
 
 
 def _report(build, name, captures, steps):
-    campaign, places, records, earlier = build.campaign, build.places, build.records, build.earlier
+    campaign, places, earlier = build.campaign, build.places, build.earlier
     folder = places.folder(name)
     facts = campaign.objects.get(name)
     said = {layer.name: why for layer, why in earlier.items() if layer.object == name}
     refused = [p.code for step in steps if step.state == "refused" for p in step.problems]
-    with files.together(partial(records.forget, tasks.Key(name, stage="report"))):
+    with files.together():
         files.write_json(
             folder / "report.html", [sorted(said.items()), refused, [c.layer for c in captures]]
         )
@@ -224,7 +223,6 @@ def _report(build, name, captures, steps):
 def _camera(page, build, templates):
     places, records = build.places, build.records
     path = places.output / "cameras" / page.camera / "camera.json"
-    records.forget(run.page_key(page.camera))
     notes = [
         records.notes(run.key_of(capture, "calibrate")).get("measured")
         for capture in page.captures[:1]
@@ -242,7 +240,7 @@ def install(patch):
         connection.execute("PRAGMA synchronous = OFF")
         return connection
 
-    patch.setattr(tasks.Stages, "compute", lambda stages, task: toys(stages, task))
+    patch.setattr(tasks.Stages, "do", lambda stages, task: toys(stages, task))
     patch.setattr(outcomes, "describe_anew", _describe)
     patch.setattr(report_pages, "write_report", _report)
     patch.setattr(run, "write_camera_page", _camera)

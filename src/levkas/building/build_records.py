@@ -1,4 +1,8 @@
-"""What was made of what: fingerprints of stages, so that a build does only what is stale."""
+"""What was made of what: fingerprints of stages, so that a build does only what is stale.
+
+A record is written when its stage is finished and stands until that is done anew. What a killed build leaves between old and
+new files is not what its record says, and is made again.
+"""
 
 from __future__ import annotations
 
@@ -27,20 +31,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from levkas.building.records_file import Change
     from levkas.campaign.discovery.captures import Capture
 
 STAGES = ("calibrate", "register", "resample")
 """Of a capture, in their order."""
-DONE, WAS, REFUSED = "done", "was", "refused"
-"""States of what is recorded of a stage: it is finished; it was, and is being done anew; it was refused the last time,
-is tried again by every build, and `status` says why."""
+DONE, REFUSED = "done", "refused"
+"""States of a record: of a finished stage; of one that was refused the last time, is tried again, and `status` says why."""
 REPORT = ".error.txt"
 """Suffix of the report of an exception that no check foresaw, a file for whoever sends it."""
 ALL = "SELECT object, camera, setup, stage, state, record, sha256 FROM stages"
 OF_A_STAGE = "WHERE object = ? AND camera = ? AND setup = ? AND stage = ?"
 RECORD = "INSERT OR REPLACE INTO stages VALUES (?, ?, ?, ?, ?, ?, ?)"
-FORGET = f"UPDATE OR REPLACE stages SET state = '{WAS}' {OF_A_STAGE} AND state = '{DONE}'"
 DROP = f"DELETE FROM stages {OF_A_STAGE}"
 UNREADABLE = "cannot be read"
 """Of a fingerprint: why there is none. A stage of such is never fresh."""
@@ -65,11 +66,6 @@ class Key:
         """Which layer it is of."""
         return LayerId(self.object, self.camera, self.setup)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Object, camera, setup and stage."""
-        return tuple(vars(self).values())
-
     def to_dict(self) -> dict[str, str]:
         """Return the identifying fields of a stage report."""
         return dict(vars(self))
@@ -86,18 +82,13 @@ def key_of(capture: Capture, stage: str) -> Key:
 class BuildRecords:
     """Fingerprints and products of finished stages, and why others were refused.
 
-    A record is read once: what this build has read or written stays valid for it, whatever another build that runs beside
-    it takes away or writes. The records are kept in `folder`, beside the database and never inside it; products are
-    recorded relative to `output`, the database. `verify` and `session` as of `Hashes`.
+    A record is read once: what this build has read or written stays valid for it, whatever another build beside it writes.
+    Records are kept in `folder`, beside the database; products are recorded relative to `output`, the database. `verify` and
+    `session` as of `Hashes`.
     """
 
     def __init__(
-        self,
-        folder: Path,
-        output: Path,
-        *,
-        verify: bool = False,
-        session: Path | None = None,
+        self, folder: Path, output: Path, *, verify: bool = False, session: Path | None = None
     ) -> None:
         self.folder, self.output = folder, output
         self._file = folder / NAME
@@ -110,7 +101,7 @@ class BuildRecords:
     def _states(self, key: Key) -> dict[str, dict[str, Any]]:
         """Return what is recorded of a stage by its state; a record that is damaged is empty."""
         if key not in self._known:
-            rows = read_rows(self._file, f"{ALL} {OF_A_STAGE}", *key.names)
+            rows = read_rows(self._file, f"{ALL} {OF_A_STAGE}", *vars(key).values())
             self._known[key] = _sound(key, rows)
         return self._known[key]
 
@@ -134,21 +125,16 @@ class BuildRecords:
         return dict(self._record(key).get("notes", {}))
 
     def recorded(self) -> list[Key]:
-        """Return the stages that are recorded, or were being done anew when a build was interrupted."""
+        """Return the finished stages but the catalogue."""
         found = []
         rows = read_rows(self._file, f"{ALL} ORDER BY object, camera, setup, stage")
         for names, mine in groupby(rows, lambda row: row[:4]):
             key = Key(*names)
             if key not in self._known:
                 self._known[key] = _sound(key, mine)
-            if key != CATALOGUE and (self._record(key) or self.made_by(key)):
+            if key != CATALOGUE and self._record(key):
                 found.append(key)
         return found
-
-    def made_by(self, key: Key) -> set[str]:
-        """Return the names of all that a stage has made, also of one that was being done anew."""
-        records = (self._states(key).get(state, {}) for state in (DONE, WAS))
-        return {name for record in records for name in record.get("products", ())}
 
     def products_that_stand(self) -> Iterator[tuple[str, str]]:
         """Yield name and SHA-256 of every existing product of every finished stage but the catalogue."""
@@ -157,7 +143,7 @@ class BuildRecords:
                 if _is_file(f"{self.output}{os.sep}{name}"):
                     yield name, sha
 
-    # --- finished layers --------------------------------------------------------------------------
+    # --- finished layers ------------------------------------------------------------------------
 
     @cached_property
     def listed(self) -> dict[LayerId, Entry]:
@@ -185,21 +171,18 @@ class BuildRecords:
     def copied(self, key: Key) -> tuple[dict[str, Any], dict[str, bytes]]:
         """Return the record of a finished stage and the bytes of its products, for `put_back`."""
         paths = {name: self.output / name for name in self.products(key)}
-        return self._record(key), {
-            n: path.read_bytes() for n, path in paths.items() if _is_file(path)
-        }
+        return self._record(key), {n: p.read_bytes() for n, p in paths.items() if _is_file(p)}
 
     def put_back(self, key: Key, record: dict[str, Any], products: dict[str, bytes]) -> None:
         """Undo what was written and recorded of a stage since it was `copied`."""
         if not record or self._record(key) == record:
             return
-        self.forget(key)
-        for name in self.made_by(key) - products.keys():
+        for name in self.products(key).keys() - products.keys():
             remove(self.output / name)
         for name, data in products.items():
             write_bytes(self.output / name, data)
         row = _row(key, DONE, {part: record[part] for part in record if part != "sha256"})
-        self._write(key, (DROP, [key.names]), (RECORD, [row]))
+        self._write(key, (RECORD, [row]))
 
     # --- what is fresh --------------------------------------------------------------------------
 
@@ -252,15 +235,13 @@ class BuildRecords:
         """
         made, kept = self._hashed(products, self.output), self._hashed(aside, self.folder)
         self.put_away_left(key, made)
-        before = [self._states(key).get(state, {}).get("aside", {}) for state in (DONE, WAS)]
-        for name in {*before[0], *before[1]} - kept.keys():
+        for name in self._record(key).get("aside", {}).keys() - kept.keys():
             if _is_file(self.folder / name):
                 remove(self.folder / name)
-        record = {
-            "fingerprint": fingerprint, "products": made, "aside": kept, "notes": notes,
-        }  # fmt: skip
+        record = {"fingerprint": fingerprint, "products": made, "aside": kept, "notes": notes}
         row = _row(key, DONE, record)
-        write_rows(self._file, (DROP, [key.names]), (RECORD, [row]), self.hashes.unsaved())
+        changes = (DROP, [tuple(vars(key).values())]), (RECORD, [row]), self.hashes.unsaved()
+        write_rows(self._file, *changes)
         self._known[key] = _sound(key, [row])
         self.drop_report(key)
 
@@ -272,22 +253,17 @@ class BuildRecords:
         self.keep(key, record["fingerprint"], made, aside=aside, **record["notes"] | notes)
 
     def _hashed(self, paths: Iterable[Path], folder: Path) -> dict[str, str]:
-        """Return the hashes of files by their names in a folder."""
         return {p.relative_to(folder).as_posix(): self.hashes(p, own=True) for p in sorted(paths)}
 
-    def _write(self, key: Key, *changes: Change) -> None:
+    def _write(self, key: Key, *changes: tuple[str, Iterable[Sequence[Any]]]) -> None:
         write_rows(self._file, *changes)
         self._known.pop(key, None)
-
-    def forget(self, key: Key) -> None:
-        """Record that a stage is about to be done anew; what it does not make any more is still known then."""
-        self._write(key, (FORGET, [key.names]))
 
     def drop(self, key: Key) -> None:
         """Forget a stage that will not be done again, and what was kept aside of it; a report stays."""
         for name in self._record(key).get("aside", {}):
             remove(self.folder / name)
-        self._write(key, (DROP, [key.names]))
+        self._write(key, (DROP, [tuple(vars(key).values())]))
 
     def refuse(self, key: Key, fingerprint: dict[str, Any], problems: Iterable[Problem]) -> None:
         """Record what a stage was made of when it was refused, and why."""
@@ -303,10 +279,10 @@ class BuildRecords:
 
     # --- reports of exceptions that no check foresaw --------------------------------------------
 
-    def path_of(self, key: Key, suffix: str) -> Path:
-        """Return the path of a file of a stage among what is kept."""
+    def report_of(self, key: Key) -> Path:
+        """Return the path of the report of a stage among what is kept."""
         parts = [part for part in (key.object, key.layer, key.stage) if part]
-        return self.folder.joinpath(*parts[:-1], f"{parts[-1]}{suffix}")
+        return self.folder.joinpath(*parts[:-1], f"{parts[-1]}{REPORT}")
 
     def with_report(self, key: Key, refused: Refused) -> Refused:
         """Keep the report of an exception that no check foresaw, and return a refusal that says where.
@@ -315,7 +291,7 @@ class BuildRecords:
         """
         if not (isinstance(refused, InternalError) and refused.report):
             return refused
-        path = self.path_of(key, REPORT)
+        path = self.report_of(key)
         try:
             make_folder(path.parent)
             write_text(path, refused.report)
@@ -324,8 +300,7 @@ class BuildRecords:
         return InternalError(*(self._with_advice(key, problem) for problem in refused.problems))
 
     def _with_advice(self, key: Key, problem: Problem) -> Problem:
-        """Return a problem with where its report is, if it is of an exception that no check foresaw."""
-        path = self.path_of(key, REPORT)
+        path = self.report_of(key)
         if problem.code != INTERNAL or not path.is_file():
             return problem
         fix = f"This is an error of the program. Please send its report to the authors: {path}"
@@ -333,14 +308,14 @@ class BuildRecords:
 
     def drop_report(self, key: Key) -> None:
         """Remove the report of an exception of an earlier build, where there is one."""
-        if (path := self.path_of(key, REPORT)).is_file():
+        if (path := self.report_of(key)).is_file():
             remove(path)
 
     # --- what a stage does not make any more ----------------------------------------------------
 
     def put_away_left(self, key: Key, made: Iterable[str]) -> None:
         """Put away what a stage has made before and does not make any more."""
-        self.put_away(self.made_by(key) - {*made})
+        self.put_away(self.products(key).keys() - {*made})
 
     def put_away(self, names: Iterable[str]) -> Path | None:
         """Move products out of the database, to a folder of this build; None where there are none."""
@@ -358,11 +333,11 @@ class BuildRecords:
 def _row(key: Key, state: str, record: dict[str, Any]) -> tuple[str, ...]:
     """Return a row of the table of stages, with a hash that shows where a bit of it has flipped."""
     text = json.dumps(plain(record), ensure_ascii=False, allow_nan=False)
-    return *key.names, state, text, _hash_of(key, text)
+    return *vars(key).values(), state, text, _hash_of(key, text)
 
 
 def _hash_of(key: Key, text: str) -> str:
-    return hashlib.sha256("\n".join([*key.names, text]).encode()).hexdigest()
+    return hashlib.sha256("\n".join([*vars(key).values(), text]).encode()).hexdigest()
 
 
 def _sound(key: Key, rows: Iterable[Sequence[Any]]) -> dict[str, dict[str, Any]]:
@@ -389,25 +364,10 @@ def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:
     changes = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     if not changes:
         return ""
-    name = changes[0]
-    more = f" and {len(changes) - 1} more" if len(changes) > 1 else ""
-    if name not in before:
-        return f"{name} is new{more}"
-    if name not in now:
-        return f"{name} is gone{more}"
-    if (
-        name.startswith(("file ", "frame ", "code"))
-        or _is_hash(before[name])
-        or _is_hash(now[name])
-    ):
+    name, more = changes[0], f" and {len(changes) - 1} more" if len(changes) > 1 else ""
+    if name not in before or name not in now:
+        return f"{name} is {'gone' if name in before else 'new'}{more}"
+    values = [json.dumps(one[name], ensure_ascii=False) for one in (before, now)]
+    if any(len(text) > 40 or re.fullmatch('"[0-9a-f]{8,}"', text) for text in values):
         return f"{name} changed{more}"
-    return f"{name} {_short(before[name])} → {_short(now[name])}{more}"
-
-
-def _is_hash(value: Any) -> bool:
-    return isinstance(value, str) and re.fullmatch("[0-9a-f]{8,}", value) is not None
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= 40 else text[:37] + "…"
+    return f"{name} {' → '.join(values)}{more}"

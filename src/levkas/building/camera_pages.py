@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas import __version__
-from levkas.building import fingerprints
 from levkas.building.build_records import BuildRecords, Key, key_of
-from levkas.building.fingerprints import digest, written
 from levkas.building.graph import cameras_with_pages, page_key
+from levkas.building.inputs import digest, of_calibration, plain, read_by, written
 from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.drift import LAMP
 from levkas.campaign.discovery.find_captures import find_charts
+from levkas.campaign.schema.tables import CALIBRATE, CAMERA
 from levkas.core.disk import WriteRefused
 from levkas.core.files import make_folder, write_json, write_text
 from levkas.core.internal_errors import as_refusal
@@ -91,7 +91,6 @@ def write_camera_page(page: CameraPage, outcomes: Outcomes, templates: TemplateC
     """Write a camera's page, its description and its charts; raises Refused."""
     campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
     path = places.output / "cameras" / page.camera / "report.html"
-    records.forget(page_key(page.camera))
     make_folder(path.parent)
     measured = measured_of(page, records)
     measures, problems, files, strayed = _measured(page, outcomes, templates)
@@ -119,7 +118,7 @@ def _charts_that_stay(
 ) -> dict[str, list[Path]]:
     """Return the files of charts that campaign.toml declares, and that this camera's frames do not show now, by their names."""
     campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
-    made = {places.output / name for name in records.made_by(page_key(page.camera))}
+    made = {places.output / name for name in records.products(page_key(page.camera))}
     left = sorted(path for path in made - {*files} if path.is_file())
     setups = ("", *campaign.setups)
     stems = (LayerId(c, page.camera, s).stem for c in campaign.targets.charts for s in setups)
@@ -140,21 +139,19 @@ def _under(setup: str, strayed: Mapping[str, Mapping[str, Any]]) -> Mapping[str,
 def prints_of_page(page: CameraPage, outcomes: Outcomes) -> dict[str, Any]:
     """Return the fingerprint of a camera's page."""
     campaign, records = outcomes.campaign, outcomes.records
-    keys, first = campaign.cameras[page.camera], page.first
+    first = page.first
     prints: dict[str, Any] = {
-        **made_with("camera"),
+        **made_with(),
         **_measured_in(page, outcomes),
         "charts refused": [written(campaign, p) for p in page.refused],
     }
-    for key in ("kind", "bits", "black", "saturation"):
-        prints[f"cameras.{page.camera}.{key}"] = getattr(keys, key)
-    prints |= fingerprints.uncertainties(campaign)
+    for capture in (*page.captures, *page.charts):
+        bare = replace(capture, object="")
+        prints |= read_by((CALIBRATE, CAMERA), campaign, bare, records.hashes)
     prints["bands"] = [[b.label, str(b.wavelength), str(b.fwhm)] for b in first.bands]
     prints["order of captures"] = [f"{c.object}/{c.layer}" for c in page.captures]
     prints["sensors"] = [[s.name, s.pattern, len(s.bands)] for s in first.sensors]
-    if declared := keys.sensitivity:
-        prints[f"file {declared}"] = records.hashes(campaign.root / declared)
-    return fingerprints.plain(prints | prints_of_charts(page, campaign, records))
+    return plain(prints | prints_of_charts(page, campaign, records))
 
 
 def prints_of_charts(page: CameraPage, campaign: Campaign, records: BuildRecords) -> dict[str, Any]:
@@ -162,7 +159,7 @@ def prints_of_charts(page: CameraPage, campaign: Campaign, records: BuildRecords
     prints: dict[str, Any] = {}
     for capture in page.charts:
         name = f"chart {capture.object}/{capture.layer}"
-        fingerprint = fingerprints.of_calibration(campaign, capture, records.hashes)
+        fingerprint = of_calibration(campaign, capture, records.hashes)
         prints[name] = digest(fingerprint)
         prints[f"{name} kind"] = campaign.targets.charts[capture.object]
         if named := edges_of(campaign, capture):

@@ -16,8 +16,8 @@ from levkas.building.derived_layers import (
     outdated_layers,
     put_away_outdated,
 )
-from levkas.building.fingerprints import digest
 from levkas.building.graph import Step
+from levkas.building.inputs import digest
 from levkas.building.outcomes import Outcomes, is_named
 from levkas.campaign.campaign import Campaign
 from levkas.core.ownership import IMPRINT, MARK
@@ -56,7 +56,6 @@ def write_catalogue_of(outcomes: Outcomes, names: list[str], *, whole: bool = Tr
         if outcomes.dry or not why:
             state = "stale" if why else "fresh"
             return Step(key, state, why, warnings=(*stay, *foreign_files(others)))
-        records.forget(key)
         go = {layer: one for layer, one in outdated.items() if one.goes}
         warnings = (*stay, *put_away_outdated(places, records, go))
         paths = _published(places, entries, names, imprint, spectra)
@@ -78,7 +77,7 @@ def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
     from levkas.database.manifest import is_partial, walk_files
 
     keys = (*records.recorded(), CATALOGUE)
-    paths = {name for key in keys for name in records.made_by(key)} | {TABLE, IMPRINT, MANIFEST}
+    paths = {name for key in keys for name in records.products(key)} | {TABLE, IMPRINT, MANIFEST}
     derived = _derived_files(places)
     there = [
         name
@@ -133,7 +132,7 @@ def _prints(
         products.update(f"{sha} {name}\n".encode("utf-8", "surrogateescape"))
     files = products.hexdigest()
     return {
-        **made_with("catalogue"),
+        **made_with(),
         "layers": digest({"rows": [e.to_row() for e in entries], "files": files}),
         "campaign": digest({"imprint": imprint, "mark": MARK}),
         "order of cameras and setups": [[*imprint["cameras"]], [*imprint["setups"]]],

@@ -10,13 +10,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.build_records import CATALOGUE, STAGES, Key
-from levkas.campaign.campaign import Campaign
-from levkas.campaign.discovery.captures import Capture
+from levkas.building.build_records import CATALOGUE, STAGES, Key, key_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
     from levkas.core.problems import Problem
 
 
@@ -25,7 +25,8 @@ class Task:
     """One stage of one capture, or the page of an object or a camera, or the catalogue.
 
     It reads the products of tasks that it `needs`, and is refused, or left out, where one of them is refused, and of those
-    that it `uses` where they are not. Pages and the catalogue have no capture.
+    that it `uses` where they are not. Pages and the catalogue have no capture; `reference` is the capture that those of an
+    object are registered to.
     """
 
     key: Key
@@ -52,22 +53,21 @@ def graph_of(
     Captures without a reference are left out. `charts` are measured for the page of their camera.
     """
     tasks: dict[Key, Task] = {}
-    for mine in by_object(captures).values():
-        if not has_reference(campaign, mine):
+    for name in dict.fromkeys(c.object for c in captures):
+        mine = [c for c in captures if c.object == name]
+        if not is_reference(campaign, mine[0]):
             continue
-        here = [
-            task
-            for capture in _in_order(mine)
-            for task in _tasks_of(campaign, capture, mine, captures)
-        ]
+        # Most bands first, so that little is left at the end; the default lighting, which others are compared with, before them.
+        order = [mine[0], *sorted(mine[1:], key=lambda c: (bool(c.setup), -len(c.bands)))]
+        here = [task for capture in order for task in _tasks_of(capture, mine)]
         tasks |= {task.key: task for task in here}
-        report = Key(mine[0].object, stage="report")
+        report = Key(name, stage="report")
         layers = tuple(task.key for task in here if task.key.stage == "resample")
         # Budgets hold the stray light that charts show on the pages of cameras.
         pages = tuple(dict.fromkeys(page_key(c.camera) for c in mine)) if charts else ()
         tasks[report] = Task(report, uses=(*layers, *pages))
     for camera in cameras_with_pages(campaign, captures, charts):
-        calibrations = [keys_of(campaign, c)["calibrate"] for c in captures if c.camera == camera]
+        calibrations = (key_of(c, "calibrate") for c in captures if c.camera == camera)
         key = page_key(camera)
         tasks[key] = Task(key, uses=tuple(k for k in calibrations if k in tasks))
     pages = tuple(key for key in tasks if key.stage in ("report", "camera"))
@@ -77,20 +77,32 @@ def graph_of(
     return {task.key: task for task in ordered(tasks, [*first, *tasks])}
 
 
+def _tasks_of(capture: Capture, mine: Sequence[Capture]) -> Iterator[Task]:
+    """Yield the tasks of one capture; `mine` are all of its object, the reference first."""
+    (lead, *_), of = mine, (capture, mine[0])
+    calibrated, registered, resampled = (key_of(capture, stage) for stage in STAGES)
+    frame = () if capture is lead else (key_of(lead, "calibrate"), key_of(lead, "register"))
+    yield Task(calibrated, (), (), *of)
+    yield Task(registered, (calibrated, *frame), (), *of)
+    drawn = () if capture is lead else (key_of(lead, "resample"),)
+    alike = (c for c in mine[1:] if c.camera == capture.camera and not c.setup and capture.setup)
+    compared = tuple(key_of(default, "resample") for default in alike)
+    yield Task(resampled, (calibrated, registered, *frame, *drawn), compared, *of)
+
+
 def ordered(tasks: Graph, wanted: Iterable[Key]) -> list[Task]:
     """Return tasks and all that they read, each once and behind what it reads."""
     done: dict[Key, Task] = {}
     waiting = [*wanted][::-1]
     while waiting:
-        key = waiting[-1]
-        task = None if key in done else tasks.get(key)
-        ahead = (*task.needs, *task.uses)[::-1] if task else ()
+        task = tasks.get(waiting[-1])
+        ahead = (*task.needs, *task.uses)[::-1] if task and task.key not in done else ()
         if left := [before for before in ahead if before in tasks and before not in done]:
             waiting += left
             continue
         waiting.pop()
         if task:
-            done[key] = task
+            done[task.key] = task
     return list(done.values())
 
 
@@ -101,27 +113,9 @@ def captures_of(task: Task) -> tuple[Capture, Capture]:
     return task.capture, task.reference
 
 
-def keys_of(campaign: Campaign, capture: Capture) -> dict[str, Key]:
-    """Return the keys of a capture's stages in their order."""
-    return {s: Key(capture.object, capture.camera, capture.setup, s) for s in STAGES}
-
-
 def page_key(camera: str) -> Key:
     """Return the key of the task that writes a camera's page."""
     return Key("", camera, stage="camera")
-
-
-def by_object(captures: Iterable[Capture]) -> dict[str, list[Capture]]:
-    """Return captures by the name of their object, in their order."""
-    found: dict[str, list[Capture]] = {}
-    for capture in captures:
-        found.setdefault(capture.object, []).append(capture)
-    return found
-
-
-def has_reference(campaign: Campaign, captures: Sequence[Capture]) -> bool:
-    """Return whether the captures of an object begin with the reference camera's own."""
-    return bool(captures) and is_reference(campaign, captures[0])
 
 
 def is_reference(campaign: Campaign, capture: Capture) -> bool:
@@ -132,47 +126,10 @@ def is_reference(campaign: Campaign, capture: Capture) -> bool:
 def cameras_with_pages(
     campaign: Campaign, captures: Sequence[Capture], charts: Sequence[Capture]
 ) -> list[str]:
-    """Return the cameras that have a page: those that are calibrated, or saw a chart.
-
-    Of plain images, where nothing is calibrated, nothing but a chart decides.
-    """
+    """Return the cameras that have a page: those that are calibrated, or saw a chart."""
     used = {c.camera for c in captures if campaign.cameras[c.camera].traits.is_calibrated}
     used |= {c.camera for c in charts}
     return [name for name in campaign.cameras if name in used]
-
-
-def default_of(capture: Capture, captures: Iterable[Capture]) -> Capture | None:
-    """Return the same camera's capture of the object under its default setup; None for that itself."""
-    if not capture.setup:
-        return None
-    alike = (c for c in captures if c.object == capture.object and c.camera == capture.camera)
-    return next((c for c in alike if not c.setup), None)
-
-
-def _tasks_of(
-    campaign: Campaign, capture: Capture, mine: Sequence[Capture], captures: Sequence[Capture]
-) -> Iterator[Task]:
-    """Yield the tasks of one capture."""
-    keys, lead = keys_of(campaign, capture), keys_of(campaign, mine[0])
-    own = capture is mine[0]
-    frame = () if own else (lead["calibrate"], lead["register"])
-    of = (capture, mine[0])
-    yield Task(keys["calibrate"], (), (), *of)
-    yield Task(keys["register"], (keys["calibrate"], *frame), (), *of)
-    drawn = (keys["calibrate"], keys["register"], *frame, *(() if own else (lead["resample"],)))
-    default = default_of(capture, mine)
-    compared = (
-        () if default is None or default is mine[0] else (keys_of(campaign, default)["resample"],)
-    )
-    yield Task(keys["resample"], drawn, compared, *of)
-
-
-def _in_order(mine: Sequence[Capture]) -> list[Capture]:
-    """The reference, then the others, most bands first: little is left to write at the end.
-
-    The default lighting comes first: layers of others are compared with it.
-    """
-    return [mine[0], *sorted(mine[1:], key=lambda c: (bool(c.setup), -len(c.bands)))]
 
 
 # --- steps: how tasks begin and end -------------------------------------------------------------

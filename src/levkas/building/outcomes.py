@@ -1,4 +1,4 @@
-"""Outcomes of tasks: fresh, recorded, or refused while the layer of an earlier build stays; and what campaign.toml no longer names.
+"""Outcomes of tasks: fresh, done, or refused while the layer of an earlier build stays; and what campaign.toml no longer names.
 
 *Only campaign.toml removes*: a finished layer whose frames cannot be read today, or that is refused, stays as it is, and the
 catalogue says of what build it is. What was never finished goes.
@@ -8,20 +8,18 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, key_of
-from levkas.building.fingerprints import Inputs, without
+from levkas.building.build_records import STAGES, BuildRecords, Key, key_of
 from levkas.building.graph import Graph, Step, Task, captures_of
-from levkas.building.tasks import Damaged, describe_anew
+from levkas.building.inputs import Inputs, without
+from levkas.building.tasks import Stages, describe_anew
 from levkas.campaign.discovery.file_index import declared_targets
 from levkas.core.disk import DISK_CODES
 from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import counted
 from levkas.database.layout import KINDS
-from levkas.stages.written import Written
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Iterator, Sequence
@@ -30,9 +28,7 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import LayerId, Places
-
-    Layer = tuple[str, str]
-
+    from levkas.stages.template_cache import TemplateCache
 
 DESCRIBE = "describe"
 """Stage of a step that says that files were described anew; nothing is recorded under it."""
@@ -48,9 +44,9 @@ class Due(NamedTuple):
 
 
 class Outcomes:
-    """Decides what is due, records what was done, and withdraws what was refused; a `dry` one only says so, for `status`.
+    """Does the tasks of captures that are due, one after the other, and keeps how each ended; a `dry` one, for `status`, only says.
 
-    The one writer of the records of captures. `unread` as of `Inputs`.
+    A capture ends with the first task that is refused; others go on. `unread` as of `Inputs`.
     """
 
     def __init__(
@@ -59,6 +55,7 @@ class Outcomes:
         places: Places,
         records: BuildRecords,
         graph: Graph,
+        templates: TemplateCache,
         *,
         dry: bool = False,
         unread: bool = False,
@@ -67,23 +64,96 @@ class Outcomes:
         self.graph, self.dry = graph, dry
         self.inputs = Inputs(campaign, records, unread=unread)
         self.ended: dict[Key, Step] = {}
-        self._by_object: dict[str, dict[Key, Step]] = {}
-        self.lost: dict[Layer, Step] = {}
-        self._stated: Key | None = None
+        self.lost: dict[LayerId, Step] = {}
         self.earlier: dict[LayerId, str] = {}
         """Why layers are of an earlier build."""
+        self._stages = Stages(campaign, places, records, templates, graph)
+        self._checked: set[Key] = set()
+        self._described: set[LayerId] = set()
         self._registered: dict[LayerId, tuple[Key, dict[str, Any], dict[str, bytes]]] = {}
 
-    def note(self, step: Step) -> Step:
-        """Keep how a task ended."""
-        if step.finished and step.key.stage != DESCRIBE:
-            self.ended[step.key] = step
-            self._by_object.setdefault(step.key.object, {})[step.key] = step
+    # --- one task -------------------------------------------------------------------------------
+
+    def run(self, task: Task) -> Iterator[Step]:
+        """Yield how a task of a capture begins and ends; nothing where its capture was refused before."""
+        try:
+            for step in self._run(task):
+                if step.finished and step.key.stage != DESCRIBE:
+                    self.ended[step.key] = step
+                yield step
+        except Exception as error:  # outside of what computes and writes, which has its own
+            self.ended[task.key] = step = self._end(task, self._refused(task, error))
+            yield step
+
+    def _run(self, task: Task) -> Iterator[Step]:
+        if (step := self._not_begun(task)) or task.key.of in self.lost:
+            yield from filter(None, [step])
+            return
+        due = self.due(task)
+        if self.dry or not due.why:
+            yield from self._described_anew(due)
+            yield self._end(task, self.state(due))
+            return
+        for key in (*task.needs, *task.uses):
+            yield from self._mend(key)
+        if (step := self._not_begun(task)) or task.key.of in self.lost:
+            yield from filter(None, [step])
+            return
+        yield from self._do(due)
+
+    def _not_begun(self, task: Task) -> Step | None:
+        """Return how a capture ends whose reference was lost."""
+        capture, lead = captures_of(task)
+        failed = self.lost.get(key_of(lead, "").of)
+        if failed is None or task.leads or task.key.of in self.lost:
+            return None
+        step = self.lose(no_reference(capture, lead.camera, failed.why))
+        self.lost[task.key.of] = step
         return step
 
-    def of(self, name: str) -> Iterable[Step]:
-        """Return how the tasks of an object ended, each once."""
-        return self._by_object.get(name, {}).values()
+    def _mend(self, key: Key) -> Iterator[Step]:
+        """Do a task again whose products are damaged, before another reads them."""
+        task, ended = self.graph.get(key), self.ended.get(key)
+        fresh = ended is not None and ended.state == "fresh"
+        if task is None or task.capture is None or not fresh or key in self._checked:
+            return
+        self._checked.add(key)
+        for before in task.needs:
+            yield from self._mend(before)
+        if name := self.records.damaged(key):
+            yield from self._do(self.due(task)._replace(why=f"{name} was damaged"))
+
+    def _do(self, due: Due) -> Iterator[Step]:
+        """Compute a task, write it and record it."""
+        task, key = due.task, due.task.key
+        yield Step(key, "running", due.why)
+        try:
+            if key.stage == "register" and self.records.finished(key):
+                self._registered.setdefault(key.of, (key, *self.records.copied(key)))
+            made = self._stages.do(task)
+            self.records.keep(key, due.prints, made.files, aside=made.aside, **made.notes)
+            step = Step(key, "done", due.why, warnings=made.warnings)
+            if made.problems:
+                step = refused_step(key, Refused(*made.problems))
+        except Exception as error:
+            step = self._refused(task, error)
+        yield self._end(task, step)
+
+    def _described_anew(self, due: Due) -> Iterator[Step]:
+        """Write anew what files say about their pixels, where that alone differs; yield one step a capture."""
+        key = due.task.key
+        if not due.facts:
+            return
+        step = Step(replace(key, stage=DESCRIBE), "stale" if self.dry else "done", due.facts)
+        try:
+            if not self.dry:
+                made = describe_anew(due.task, self.campaign, self.places, self.records)
+                self.records.keep(key, due.prints, made.files, **made.notes)
+        except Exception as error:
+            step = replace(self._refused(due.task, error), key=step.key)
+        if key.of not in self._described or step.state == "refused":
+            yield step
+        self._described.add(key.of)
 
     def due(self, task: Task) -> Due:
         """Return what a task is made of, and why it must be done; all that it reads has ended."""
@@ -98,13 +168,42 @@ class Outcomes:
     def state(self, due: Due) -> Step:
         """Return whether a stage is fresh, stale, or was refused when it was made of the same."""
         key = due.task.key
-        if not due.why:
-            return self.fresh(key)
-        if problems := self.records.refusal(key, due.prints):
+        if due.why:
+            problems = self.records.refusal(key, due.prints)
             root = self.campaign.root
-            there = (replace(p, file=p.file and str(root / p.file)) for p in problems)
-            return self.stay(refused_step(key, Refused(*there)))
-        return Step(key, "stale", due.why)
+            there = [replace(p, file=p.file and str(root / p.file)) for p in problems]
+            return refused_step(key, Refused(*there)) if there else Step(key, "stale", due.why)
+        notes = self.records.notes(key)
+        refused = Refused(*(Problem(**p) for p in notes.get("refused", ())))
+        step = refused_step(key, refused) if refused.problems else Step(key, "fresh")
+        return replace(step, warnings=tuple(notes.get("warnings", ())))
+
+    # --- what is refused ------------------------------------------------------------------------
+
+    def _refused(self, task: Task, error: Exception) -> Step:
+        """Return the step of a refused task; an exception that is no refusal leaves a report beside its record."""
+        capture, _ = captures_of(task)
+        what = f"{capture.object}/{capture.layer} {task.key.stage}"
+        refused = as_refusal(error, what, capture.sensors[0].object[0].path)
+        return refused_step(task.key, self.records.with_report(task.key, refused))
+
+    def _end(self, task: Task, step: Step) -> Step:
+        """Return how a task ended: the layer of one that was refused stays where an earlier build finished it, else it is withdrawn.
+
+        What cannot be put back or withdrawn is one problem more of the step.
+        """
+        if step.state != "refused":
+            return step
+        self.lost[task.key.of] = step
+        try:
+            step = self.stay(step)
+            if not self.dry:
+                if not step.earlier:
+                    withdraw(task.key, self.places, self.records)
+                self._keep_refusal(task, step)
+        except Exception as error:
+            return replace(step, problems=(*step.problems, *self._refused(task, error).problems))
+        return step
 
     def stay(self, step: Step) -> Step:
         """Return the step of a refused stage, with why the layer stays that an earlier build finished, where there is one."""
@@ -125,87 +224,6 @@ class Outcomes:
             withdraw(step.key, self.places, self.records)
         return step
 
-    def describe(self, dues: Iterable[Due]) -> Iterator[Step]:
-        """Write anew what the files of one capture's tasks say about their pixels, where that alone differs; yield how it ended."""
-        if not (dues := [due for due in dues if due.facts]):
-            return
-        key, why = replace(dues[0].task.key, stage=DESCRIBE), dues[0].facts
-        if self.dry and key == self._stated:  # of an earlier task of the capture
-            return
-        self._stated = key
-        try:
-            for due in () if self.dry else dues:
-                before = partial(self.records.forget, due.task.key)
-                made = describe_anew(due.task, self.campaign, self.places, self.records, before)
-                self.keep(due, made)
-            yield Step(key, "stale" if self.dry else "done", why)
-        except Exception as error:
-            yield refused_step(key, self.records.with_report(key, refusal_of(due.task, error)))
-
-    def begin(self, task: Task) -> None:
-        """Note what must be known before a task is done: the registration that a finished layer is of."""
-        if task.key.stage == "resample":
-            self.records.forget(CATALOGUE)  # a layer that is written drops the index of its store
-        elif task.key.stage == "register" and self.records.finished(task.key):
-            self._registered.setdefault(task.key.of, (task.key, *self.records.copied(task.key)))
-
-    def fresh(self, key: Key) -> Step:
-        """Return how a task ended that need not be done again."""
-        notes = self.records.notes(key)
-        warnings = tuple(notes.get("warnings", ()))
-        problems = tuple(Problem(**p) for p in notes.get("refused", ()))
-        if problems:
-            return self.stay(replace(refused_step(key, Refused(*problems)), warnings=warnings))
-        return Step(key, "fresh", warnings=warnings)
-
-    def keep(self, due: Due, written: Written, **notes: Any) -> Step:
-        """Record what a task made; return how it ended. Raises WriteRefused."""
-        key = due.task.key
-        self.records.keep(
-            key, due.prints, written.files, aside=written.aside, **notes, **written.notes
-        )
-        if written.problems:
-            return refused_step(key, Refused(*written.problems))
-        return Step(key, "done", due.why, warnings=written.warnings)
-
-    def without_reference(self, task: Task) -> Step | None:
-        """Return the step of a capture whose reference was lost."""
-        capture, lead = captures_of(task)
-        failed = self.lost.get((lead.object, lead.layer))
-        if failed is None or task.leads:
-            return None
-        refused = no_reference(capture, lead.camera, failed.why)
-        step = self.lose(refused)
-        self.lost[capture.object, capture.layer] = step
-        return step
-
-    def refuse(self, task: Task, error: Exception) -> Step:
-        """Return the step of a refused task.
-
-        An exception that is no refusal is one of this task alone, and leaves a report beside its record.
-        """
-        refused = self.records.with_report(task.key, refusal_of(task, error))
-        if isinstance(refused, Damaged):
-            self.records.forget(refused.key)
-        return refused_step(task.key, refused)
-
-    def end(self, task: Task, step: Step) -> Step:
-        """Return how a task ended: the layer of one that was refused stays where an earlier build finished it, else it is withdrawn.
-
-        What cannot be put back or withdrawn is one problem more of the step.
-        """
-        if step.state != "refused":
-            return step
-        self.lost[task.key.object, task.key.layer] = step
-        try:
-            step = self.stay(step)
-            if not step.earlier:
-                withdraw(task.key, self.places, self.records)
-            self._keep_refusal(task, step)
-        except Exception as error:
-            return replace(step, problems=(*step.problems, *refusal_of(task, error).problems))
-        return step
-
     def _keep_refusal(self, task: Task, step: Step) -> None:
         """Record why a task was refused, unless its own record says it, or the next time may be another."""
         key, codes = task.key, {problem.code for problem in step.problems}
@@ -213,13 +231,6 @@ class Outcomes:
         if not (recorded or codes & OF_THE_MACHINES or is_of_the_disk(step.problems)):
             problems = within(self.campaign, step.problems)
             self.records.refuse(key, self.inputs.of(task, self.lost), problems)
-
-
-def refusal_of(task: Task, error: Exception) -> Refused:
-    """Return why a task of a capture is refused that ended with an exception."""
-    capture, _ = captures_of(task)
-    what = f"{capture.object}/{capture.layer} {task.key.stage}"
-    return as_refusal(error, what, capture.sensors[0].object[0].path)
 
 
 def within(campaign: Campaign, problems: Iterable[Problem]) -> list[Problem]:
@@ -230,16 +241,14 @@ def within(campaign: Campaign, problems: Iterable[Problem]) -> list[Problem]:
 
 OF_THE_MACHINES = {"E_MEMORY"}
 """Codes of what another machine, or the same one later, may do."""
+NOT_READ = {"E_UNREADABLE", "E_TRUNCATED", "E_MISSING", "E_DAMAGED", "E_IO"}
+"""Codes of frames that may be read another day."""
 
 
 def is_of_the_disk(problems: Iterable[Problem]) -> bool:
     """Return whether nothing but the disk refused: nothing is wrong with frames and parameters."""
     codes = {problem.code for problem in problems}
     return bool(codes) and codes <= DISK_CODES
-
-
-NOT_READ = {"E_UNREADABLE", "E_TRUNCATED", "E_MISSING", "E_DAMAGED", "E_IO"}
-"""Codes of frames that may be read another day."""
 
 
 def why_earlier(campaign: Campaign, step: Step) -> str:
@@ -255,33 +264,18 @@ def withdraw(key: Key, places: Places, records: BuildRecords) -> None:
     """Take away what builds made of a layer that none has finished, from the stage on that is refused now."""
     from levkas.core.files import remove
 
-    for stage in STAGES[STAGES.index(key.stage) : -1]:
+    for stage in STAGES[STAGES.index(key.stage) :]:
         one = replace(key, stage=stage)
         if stage == key.stage and records.notes(one).get("refused"):
             continue  # a registration that is refused has a record
-        for name in sorted(records.made_by(one)):
+        for name in sorted(records.products(one)):
             remove(places.output / name)
-        records.drop(one)
-    # By name, not by record: an interrupted build has dropped the record and left the files.
-    records.forget(replace(key, stage=STAGES[-1]))
-    endings = (*KINDS.values(), ".png")
-    paths = [*(f"{key.of.path}{ending}" for ending in endings), key.of.group]
-    there = [path for name in paths if os.path.lexists(path := places.output / name)]
-    if there:
-        records.forget(CATALOGUE)
-    for path in there:
-        remove(path)
-
-
-def put_away_stage(key: Key, records: BuildRecords) -> Path | None:
-    """Move out what a stage made, and forget it; return where to, None where nothing stood there."""
-    products = records.made_by(key)
-    if products:
-        records.forget(CATALOGUE)  # what it lists is about to change
-    where = records.put_away(products)
-    if records.is_begun(key):
-        records.drop(key)
-    return where
+        if records.is_begun(one):
+            records.drop(one)
+    # By name, not by record: an interrupted build has left files without one.
+    for name in (*(f"{key.of.path}{end}" for end in (*KINDS.values(), ".png")), key.of.group):
+        if os.path.lexists(path := places.output / name):
+            remove(path)
 
 
 def no_reference(capture: Capture, camera: str, why: str) -> Step:
@@ -333,23 +327,28 @@ def no_longer_named(
 
 def describe(keys: Iterable[Key], records: BuildRecords) -> str:
     """Report what is no longer in the campaign; empty where nothing of it is in the database."""
-    there = [key for key in keys if records.made_by(key)]
+    there = [key for key in keys if records.products(key)]
     counts = {
         "layer": len({key.of for key in there if key.object and key.camera}),
         "object": sum(key.stage == "report" for key in there),
         "camera": sum(key.stage == "camera" for key in there),
     }
     parts = [counted(n, what) for what, n in counts.items() if n]
-    if not parts:
-        return ""
     verb = "is" if sum(counts.values()) == 1 else "are"
-    return f"{' and '.join(parts)} {verb} no longer in the campaign"
+    return f"{' and '.join(parts)} {verb} no longer in the campaign" if parts else ""
+
+
+def put_away_stage(key: Key, records: BuildRecords) -> Path | None:
+    """Move out what a stage made, and forget it; return where to, None where nothing stood there."""
+    where = records.put_away(records.products(key))
+    if records.is_begun(key):
+        records.drop(key)
+    return where
 
 
 def removal(keys: Sequence[Key], records: BuildRecords) -> list[Step]:
     """Move what is no longer in the campaign out of the database; return one step, or none where there was nothing."""
     text = describe(keys, records)
     moved = [where for key in keys if (where := put_away_stage(key, records))]
-    return (
-        [Step(REMOVED, "done", text, warnings=(f"{text}: moved to {moved[0]}",))] if moved else []
-    )
+    warnings = (f"{text}: moved to {moved[0]}",) if moved else ()
+    return [Step(REMOVED, "done", text, warnings=warnings)] if moved else []

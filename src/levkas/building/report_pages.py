@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas import __version__
-from levkas.building import fingerprints
-from levkas.building.build_records import Key, key_of
+from levkas.building.build_records import STAGES, key_of
 from levkas.building.camera_pages import stray_light_of
-from levkas.building.fingerprints import written
-from levkas.building.graph import is_reference, keys_of
+from levkas.building.graph import is_reference
+from levkas.building.inputs import WRITTEN, frames_of, relative, use_of, written
 from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.error_sources import ErrorSource
 from levkas.calibration.sensor_context import Times, times_of
@@ -57,14 +56,14 @@ from levkas.readers.frames import files_of
 from levkas.registration.advice import LEAST_OUTSIDE, percent
 from levkas.registration.record import decided
 from levkas.stages.budget import budget_of
-from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES, library_version
+from levkas.stages.sources import libraries
 from levkas.stages.spectra import weights_of_bands
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from levkas.building.build_records import BuildRecords
+    from levkas.building.build_records import BuildRecords, Key
     from levkas.building.graph import Step
     from levkas.building.outcomes import Outcomes
     from levkas.campaign.campaign import Campaign
@@ -113,7 +112,7 @@ def write_report(
     words = {layer.name: text for layer, text in why.items()}
     layers = [replace(one, earlier=words.get(one.name, "")) for one in layers]
     html = report_of(campaign, places, captures, steps, layers, rows, sampling, pairs)
-    with together(partial(records.forget, Key(name, stage="report"))):
+    with together():
         write_text(page, html)
         write_text(
             facts, to_toml({"name": name, **(described.museum_facts() if described else {})})
@@ -454,7 +453,7 @@ def provenance_of(
     """
     steps = []
     for capture in captures:
-        for key in keys_of(campaign, capture).values():
+        for key in (key_of(capture, stage) for stage in STAGES):
             if not (step := _step(records, key)):
                 continue
             if key.stage == "calibrate":
@@ -465,7 +464,7 @@ def provenance_of(
     return {
         "object": captures[0].object,
         "levkas": __version__,
-        "libraries": _libraries(),
+        "libraries": libraries(),
         "instructions": describe_instructions(),
         "steps": steps,
     }
@@ -487,7 +486,7 @@ def _step(records: BuildRecords, key: Key) -> dict[str, Any]:
         return {}
     inputs = {k.removeprefix(FILE): v for k, v in prints.items() if k.startswith(FILE)}
     parameters = {
-        k: v
+        k.removeprefix(WRITTEN): v
         for k, v in prints.items()
         if not k.startswith((FILE, FRAME)) and k not in MADE_WITH and v is not None
     }
@@ -507,18 +506,13 @@ def _step(records: BuildRecords, key: Key) -> dict[str, Any]:
 def _frames(campaign: Campaign, capture: Capture, inputs: dict[str, str]) -> list[dict[str, Any]]:
     """Describe every frame of a capture that was read."""
     frames = []
-    for sensor, role, frame in fingerprints.frames_of(capture):
-        names = [fingerprints.relative(campaign, path) for path in files_of(frame.path)]
+    for sensor, role, frame in frames_of(capture):
+        names = [relative(campaign, path) for path in files_of(frame.path)]
         seconds: Times = frame.exposure_s
         with suppress(Refused, OSError):
             seconds = times_of(frame)
-        use = fingerprints.use_of(sensor, role, frame)
+        use = use_of(sensor, role, frame)
         if seconds is not None:
             use["exposure_s"] = list(seconds) if isinstance(seconds, tuple) else seconds
         frames.append({**use, "files": {name: inputs.get(name, "") for name in names}})
     return frames
-
-
-def _libraries() -> dict[str, str]:
-    versions = {name: library_version(name) for name in sorted(LIBRARIES + LIBRARIES_OF_PAGES)}
-    return {name: version for name, version in versions.items() if version}

@@ -1,19 +1,20 @@
-"""The stages of a capture as tasks: what one reads is calibrated again, or read back, where it is not held already."""
+"""The stages of a capture: each computes, then writes, and says what it has written.
+
+What one reads is calibrated again, or read back, where it is not held already.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from math import nan
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from levkas.building.build_records import BuildRecords, Key, key_of
-from levkas.building.fingerprints import size_of
+from levkas.building.build_records import BuildRecords, key_of
 from levkas.building.graph import Graph, Task, captures_of
+from levkas.building.inputs import CALIBRATION, REGISTRATION, limited
 from levkas.core.digests import hash_file
-from levkas.core.machine import give_back_memory, steady_libraries
-from levkas.core.problems import Problem, Refused
+from levkas.core.machine import give_back_memory, keep_memory, steady_libraries
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
@@ -24,19 +25,9 @@ if TYPE_CHECKING:
     from levkas.stages.reference import ReferenceFrame
     from levkas.stages.template_cache import TemplateCache
 
-    Write = Callable[[Callable[[], object]], Written]
-
-
-class Damaged(Refused):
-    """What an earlier task has kept cannot be read; `key` is that task's."""
-
-    def __init__(self, key: Key, problem: Problem) -> None:
-        super().__init__(problem)
-        self.key = key
-
 
 class Stages:
-    """Computes the tasks of a graph, one at a time; the records are only read.
+    """Does the tasks of a graph, one at a time; the records are only read.
 
     Calibrated cubes of one capture and the reference of one object are held for the next stages, else calibrated again.
     """
@@ -49,40 +40,33 @@ class Stages:
         templates: TemplateCache,
         graph: Graph,
     ) -> None:
-        self.campaign, self.places, self.records = campaign, places, records
+        self.calibrating, self.campaign = (
+            limited(campaign, keys) for keys in (CALIBRATION, REGISTRATION)
+        )
+        self.places, self.records = places, records
         self.templates, self.graph = templates, graph
         self._capture: Capture | None = None
         self._native: CalibratedCapture | None = None
         self._frame: ReferenceFrame | None = None
-        self.streams = False
-        """Whether the capture is calibrated as it is written and read."""
 
-    def compute(self, task: Task) -> Write:
-        """Do what a task computes; return what writes it. Raises Refused or MemoryError."""
-        stages: Mapping[str, Callable[[Task], Write]] = {
+    def do(self, task: Task) -> Written:
+        """Compute a task and write it. Raises Refused or MemoryError."""
+        stages: Mapping[str, Callable[[Task], Written]] = {
             "calibrate": self._calibrate,
             "register": self._register,
             "resample": self._resample,
         }
+        keep_memory()
         give_back_memory()
         with steady_libraries():
             return stages[task.key.stage](task)
 
-    def let_go(self) -> None:
-        """Let go of the capture's cubes."""
-        self._capture, self._native = None, None
-
     def native(self, capture: Capture) -> CalibratedCapture:
         """Return a calibrated capture."""
         if self._native is None or self._capture is not capture:
-            self.let_go()
-            return self._keep(capture, self._read(capture))
+            self._native = None
+            self._capture, self._native = capture, self._read(capture)
         return self._native
-
-    def _keep(self, capture: Capture, native: CalibratedCapture) -> CalibratedCapture:
-        self._capture, self._native = capture, native
-        self.streams = bool(capture.tiles) or not native.is_held or native.placement is not None
-        return native
 
     def frame(self, task: Task) -> ReferenceFrame:
         """Return the reference that a capture is registered to."""
@@ -101,21 +85,21 @@ class Stages:
         from levkas.stages.calibrate import load_calibrated
 
         notes = self.records.notes(key_of(capture, "calibrate"))
-        return load_calibrated(capture, self.campaign, self.places, notes, self.templates)
+        return load_calibrated(capture, self.calibrating, self.places, notes, self.templates)
 
-    def _calibrate(self, task: Task) -> Write:
+    def _calibrate(self, task: Task) -> Written:
         from levkas.stages.calibrate import calibrate, write_calibrated
 
         capture, _ = captures_of(task)
-        self.let_go()
+        self._native = None
         self.templates.used.clear()
-        native = calibrate(capture, self.campaign, self.templates, self.places)
-        self._keep(capture, native)
+        native = calibrate(capture, self.calibrating, self.templates, self.places)
+        self._capture, self._native = capture, native
         used = sorted(self.templates.used)
-        write = partial(write_calibrated, native, capture, self.campaign, self.places)
-        return lambda before: _with_notes(write(before), templates=used)
+        written = write_calibrated(native, capture, self.calibrating, self.places)
+        return written._replace(notes={**written.notes, "templates": used})
 
-    def _register(self, task: Task) -> Write:
+    def _register(self, task: Task) -> Written:
         from levkas.database.registrations import apply_confirmation
         from levkas.stages.register import draw_recorded, measure, publish_registration
 
@@ -127,13 +111,12 @@ class Stages:
         )
         found = replace(found, record={**found.record, "verdict": verdict})
         size_mm = size_of(self.campaign, capture.object)
-        write = partial(publish_registration, found, capture, self.places, size_mm)
+        written = publish_registration(found, capture, self.places, size_mm)
         if not found.problems or capture.tiles:
-            return write
-        picture = draw_recorded(self.native(capture))
-        return lambda before: _with_notes(write(before), recorded=picture)
+            return written
+        return written._replace(notes={**written.notes, "recorded": draw_recorded(native)})
 
-    def _resample(self, task: Task) -> Write:
+    def _resample(self, task: Task) -> Written:
         from levkas.core.files import make_folder
         from levkas.stages.reference import record_of
         from levkas.stages.resample import resample, target_of, write_resampled
@@ -144,22 +127,20 @@ class Stages:
         target = target_of(capture, native, frame, record_of(self.places, capture))
         for folder in (self.places.folder(capture.object), self.places.store(capture.object)):
             make_folder(folder)
-        self.let_go()
-        return partial(write_resampled, resample(native, target, frame), target, frame)
+        self._native = None
+        made = resample(native, target, frame)
+        del native  # its memory goes before the layer is written
+        return write_resampled(made, target, frame)
 
 
-def _with_notes(written: Written, **notes: Any) -> Written:
-    return written._replace(notes={**written.notes, **notes})
+def size_of(campaign: Campaign, name: str) -> tuple[float, float] | None:
+    """Return the declared size of an object, (width, height) mm."""
+    facts = campaign.objects.get(name)
+    return facts.size_mm if facts else None
 
 
-def describe_anew(
-    task: Task,
-    campaign: Campaign,
-    places: Places,
-    records: BuildRecords,
-    before: Callable[[], object],
-) -> Written:
-    """Write anew what the files of a task say about their pixels, which stay; `before` as of `core.files.together`."""
+def describe_anew(task: Task, campaign: Campaign, places: Places, records: BuildRecords) -> Written:
+    """Write anew what the files of a task say about their pixels, which stay."""
     from levkas.core.files import together, write_json
     from levkas.database.catalogue import entry_of
     from levkas.database.layers import describe_files
@@ -175,13 +156,12 @@ def describe_anew(
         record = with_size(read_registration(path), size_of(campaign, capture.object))
     if key.stage == "register":
         notes["warnings"] = lasting_warnings(record, f"{capture.object}/{capture.layer}")
-        with together(before):
-            write_json(path, record)
+        write_json(path, record)
         return Written(files, notes)
     scale = record["grid"]["px_per_mm"] if record else None
     captured = records.notes(key_of(capture, "calibrate"))["captured"]
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
-    with together(before):
+    with together():
         describe_files(files, credits_of(campaign, capture.object, captured), scale, centroids)
     if record:
         tiff = hash_file(places.layer(capture.object, capture.camera, capture.setup))

@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import ValidationError
 
@@ -19,6 +19,8 @@ from levkas.campaign.schema.cross_checks import (
 )
 from levkas.campaign.schema.error_messages import MOST_PROBLEMS, explain, left_out
 from levkas.campaign.schema.tables import (
+    PLAN,
+    REGISTER,
     CameraKeys,
     Document,
     ReferenceKeys,
@@ -42,7 +44,7 @@ class CampaignInvalid(Refused):
 class Camera(CameraKeys):
     """One camera with its name."""
 
-    name: str
+    name: Annotated[str, PLAN]
 
 
 class Campaign(Document):
@@ -59,7 +61,7 @@ class Campaign(Document):
     path: Path
     root: Path
     cameras: dict[str, Camera]  # type: ignore[assignment]
-    edits: Any = Edits()
+    edits: Annotated[Any, REGISTER] = Edits()
 
     @property
     def output(self) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -88,13 +88,12 @@ def write_layer(
     verdict: str = "accept",
     encoded: bool = False,
     white: float | None = None,
-    before: Callable[[], object] | None = None,
 ) -> tuple[Entry, tuple[Path, ...]]:
     """Write all files of one registered layer, its rows on the grid from top to bottom as they come.
 
     The bytes are the same for any number of rows at a time, and only a few are in memory. For the picture, `encoded` says
     that the values are sRGB, and `white` the count shown as white (default: by what is brightest in the first rows).
-    `before` is as of `levkas.core.files.together`. Returns the row of the catalogue, and all files that were written.
+    Returns the row of the catalogue, and all files that were written.
 
     Raises WriteRefused where the disk refuses; all files are then the old ones, unless it refuses a name.
     """
@@ -104,7 +103,7 @@ def write_layer(
     facts |= layer.facts_of_values(sigma=rows.has_sigma)
     picture = _Picture(rows, find_rendering(rows.bands, encoded=encoded), white)
     with (
-        together(before),
+        together(),
         _spooled(base, rows) as spools,
         writing_layer(
             group.parent,

@@ -119,13 +119,9 @@ def _contradictions(
 
 
 def write_calibrated(
-    made: CalibratedCapture,
-    capture: Capture,
-    campaign: Campaign,
-    places: Places,
-    before: Callable[[], object],
+    made: CalibratedCapture, capture: Capture, campaign: Campaign, places: Places
 ) -> Written:
-    """Write a calibrated capture in native pixels where these are asked for; `before` as of `core.files.together`.
+    """Write a calibrated capture in native pixels where these are asked for.
 
     Tiles are written in any case: beside the database, where it holds no native pixels.
     """
@@ -133,7 +129,7 @@ def write_calibrated(
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
     is_published = campaign.database.native
     folder, files, quantity = folder_of(capture, campaign, places), [], "reflectance"
-    with together(before):
+    with together():
         made.complete()
         if capture.tiles:
             files, quantity = _write_tiles(made, capture, campaign, places, folder)

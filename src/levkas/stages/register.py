@@ -177,11 +177,10 @@ def publish_registration(
     capture: Capture,
     places: Places,
     size_mm: tuple[float, float] | None,
-    before: Callable[[], object],
 ) -> Written:
-    """Write the record and the matches of a registration; `before` as of `core.files.together`."""
+    """Write the record and the matches of a registration."""
     record = with_size(measured.record, size_mm)
-    with together(before):
+    with together():
         files = write_registration(places, capture, record, measured.matches)
     verdict, layer = record["verdict"], f"{capture.object}/{capture.layer}"
     judged = f"{layer}: {' '.join(verdict['reasons'])}"

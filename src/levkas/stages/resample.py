@@ -29,7 +29,7 @@ from levkas.stages.spectra import broad_centroids, credits_of
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
@@ -161,10 +161,8 @@ def _white_of(native: CalibratedCapture) -> float | None:
     return counts_white(np.stack(shown, -1), find_rendering(native.bands), step=1)
 
 
-def write_resampled(
-    made: Resampled, target: GridTarget, frame: ReferenceFrame, before: Callable[[], object]
-) -> Written:
-    """Write a layer; `before` as of `core.files.together`."""
+def write_resampled(made: Resampled, target: GridTarget, frame: ReferenceFrame) -> Written:
+    """Write a layer."""
     rows, statistics = made.rows, made.statistics
     least = least_bytes(prod(rows.shape), rows.quantity, noisy=rows.has_sigma)
     require_space(frame.places.output, 2 * least)  # as TIFF and as Zarr
@@ -176,7 +174,6 @@ def write_resampled(
         verdict=target.verdict,
         encoded=target.encoded,
         white=made.white,
-        before=before,
     )
     notes = {
         **similarity(frame, target.capture, statistics.grey),

@@ -54,7 +54,7 @@ class TemplateCache:
         if self.digests is None or all(frame.object for frame in frames):
             return average()
         known = {**parameters, "level": _digest(level)}
-        digest = hashlib.sha256(repr((sorted(known.items()), made_with("template"))).encode())
+        digest = hashlib.sha256(repr((sorted(known.items()), made_with())).encode())
         for frame in frames:
             content = [*self.digests(frame.path).values()]
             digest.update(f"{content}:{frame.page}:{frame.exposure_s};".encode())

@@ -105,7 +105,7 @@ def _map(bands: Mapping[str, Any], label: str) -> Transform:
 def joined(capture: Capture, campaign: Campaign, places: Places) -> Path:
     """Return the folder of the tiles of a layer joined in px of the reference, beside the database; join them where they are not there yet."""
     from levkas.building.build_records import BuildRecords, key_of
-    from levkas.building.fingerprints import digest
+    from levkas.building.inputs import digest
     from levkas.stages.calibrate import load_calibrated, write_shown
     from levkas.stages.template_cache import TemplateCache
 

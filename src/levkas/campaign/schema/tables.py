@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Annotated, Any, Literal
+from functools import cache, lru_cache
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
@@ -44,10 +44,25 @@ from levkas.campaign.schema.values import (
 MOST_WAVELENGTHS = 100_000
 
 
+PLAN, CALIBRATE, LIGHT, NATIVE = "plan", "calibrate", "light", "native"
+REGISTER, FACT, REPORT, CAMERA, CATALOGUE = "register", "fact", "report", "camera", "catalogue"
+"""What of a build reads a key first: the plan, which finds captures and their files; a stage; the page of a camera, then those of
+objects, or these alone; `LIGHT`: a calibration by the spectrum of a white, and the pages of objects; `NATIVE`: whether a calibration
+publishes its pixels; `FACT`: what is written beside pixels that stay."""
+
+
 class Table(BaseModel):
-    """A table of which every key is known."""
+    """A table of which every key is known; what reads its keys first is `read_by`, but where a row says otherwise."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    read_by: ClassVar[str] = PLAN
+
+    @classmethod
+    @cache
+    def reader_of(cls, key: str) -> str:
+        """Return what of a build reads a key first."""
+        marks = [mark for mark in cls.model_fields[key].metadata if isinstance(mark, str)]
+        return marks[-1] if marks else cls.read_by
 
 
 class Range(Table):
@@ -105,17 +120,19 @@ def _creator(value: Any) -> Any:
 class ReferenceKeys(Table):
     """The band that all others are registered to."""
 
-    camera: Text
+    read_by: ClassVar[str] = REGISTER
+
+    camera: Annotated[Text, PLAN]
     band: Text | None = None
 
 
 class Description(Table):
     """The campaign as a whole."""
 
-    title: Text = ""
-    creator: Text = ""
-    date: Date | None = None
-    licence: Text = ""
+    title: Annotated[Text, REPORT] = ""
+    creator: Annotated[Text, FACT] = ""
+    date: Annotated[Date | None, FACT] = None
+    licence: Annotated[Text, FACT] = ""
     reference: Annotated[ReferenceKeys, BeforeValidator(_reference)]
     setup: Text = ""
     output: Annotated[PathText, Field(min_length=1)] = "database"
@@ -123,6 +140,8 @@ class Description(Table):
 
 class GridKeys(Table):
     """The published frame."""
+
+    read_by: ClassVar[str] = REGISTER
 
     mirror: Switch = False
     rotate: Number = 0.0
@@ -132,6 +151,8 @@ class GridKeys(Table):
 
 class DatabaseKeys(Table):
     """What the database holds beside its layers on the grid: `native`, every layer in the pixels of its sensors."""
+
+    read_by: ClassVar[str] = NATIVE
 
     native: Switch = False
 
@@ -151,11 +172,15 @@ def _usable(name: Any) -> Any:
 class MethodKey(Table):
     """The key that names the registration method."""
 
+    read_by: ClassVar[str] = REGISTER
+
     method: Annotated[Literal[tuple(METHODS)] | None, BeforeValidator(_usable)] = None  # type: ignore[valid-type]
 
 
 class PointsKeys(Table):
     """Control points."""
+
+    read_by: ClassVar[str] = REGISTER
 
     points: Annotated[PathText, Field(min_length=1)] | None = None
     use: Literal["check", "seeds", "start"] | None = None
@@ -198,6 +223,8 @@ class ChartWhite(Table):
     `corners` are the centres of the corner patches, native px, clockwise from the first.
     """
 
+    read_by: ClassVar[str] = CALIBRATE
+
     chart: Annotated[Text, Field(min_length=1)]
     reference: Annotated[PathText, Field(min_length=1)] | None = None
     corners: tuple[Corner, Corner, Corner, Corner] | None = None
@@ -229,6 +256,8 @@ class UncertaintyKeys(Table):
     `wavelength_nm` of the centre of a band; `linearity` of a value, relative; `stray_light` as a share of the white's light.
     """
 
+    read_by: ClassVar[str] = CAMERA
+
     wavelength_nm: Annotated[Number, Field(ge=0, le=100)] | None = None
     linearity: Share | None = None
     stray_light: Share | None = None
@@ -237,25 +266,27 @@ class UncertaintyKeys(Table):
 class CameraKeys(Table):
     """One camera and how its files are named."""
 
+    read_by: ClassVar[str] = CALIBRATE
+
     kind: Annotated[Text, AfterValidator(known_kind)]
-    files: Files = ()
-    pattern: MosaicPattern | None = None
-    bands: Names | None = None
-    wavelengths: Wavelengths | None = None
+    files: Annotated[Files, PLAN] = ()
+    pattern: Annotated[MosaicPattern | None, PLAN] = None
+    bands: Annotated[Names | None, PLAN] = None
+    wavelengths: Annotated[Wavelengths | None, PLAN] = None
     sensitivity: PathText | None = None
-    reference_band: Text | None = None
+    reference_band: Annotated[Text | None, REGISTER] = None
     bits: Annotated[Whole, Field(ge=1, le=32)] | None = None
     black: Number | None = None
     saturation: Annotated[Number, Field(gt=0)] | None = None
     exposures: Literal["one", "best", "merge"] = "one"
-    manifest: PathText | None = None
-    positions: PathText | None = None
-    sensors: tuple[SensorKeys, ...] = ()
+    manifest: Annotated[PathText | None, PLAN] = None
+    positions: Annotated[PathText | None, REGISTER] = None
+    sensors: Annotated[tuple[SensorKeys, ...], PLAN] = ()
     scan: Literal["push-broom", "mirror"] | None = None
     overrule: Names = ()
     denoise: Literal["hysime"] | None = None
     demosaic: Literal["malvar", "bilinear", "normalised"] | None = None
-    dark: Names | None = None
+    dark: Annotated[Names | None, PLAN] = None
     white: Annotated[CameraWhite | None, BeforeValidator(_camera_white)] = None
     uncertainty: UncertaintyKeys = UncertaintyKeys()
     registration: RegistrationKeys = RegistrationKeys()
@@ -302,8 +333,8 @@ class White(Table):
     """The white board; `uncertainty` is the standard uncertainty (k = 1) of its reflectance, a share of the perfect diffuser's."""
 
     names: Names
-    reflectance: Reflectance | None = None
-    uncertainty: Share | None = None
+    reflectance: Annotated[Reflectance | None, CALIBRATE] = None
+    uncertainty: Annotated[Share | None, CAMERA] = None
 
 
 class TargetKeys(Table):
@@ -311,9 +342,9 @@ class TargetKeys(Table):
 
     dark: Names = ()
     white: Annotated[White, BeforeValidator(_white)] | None = None
-    charts: dict[str, Text] = {}
-    edges: dict[str, dict[str, Rectangles]] = {}
-    traps: dict[str, dict[str, Rectangles]] = {}
+    charts: Annotated[dict[str, Text], CALIBRATE] = {}
+    edges: Annotated[dict[str, dict[str, Rectangles]], CAMERA] = {}
+    traps: Annotated[dict[str, dict[str, Rectangles]], CALIBRATE] = {}
     objects: Names | None = None
 
 
@@ -330,26 +361,28 @@ class Setup(Table):
     otherwise than the object, standard uncertainty.
     """
 
-    title: Text = ""
-    description: Text = ""
-    spectrum: PathText | None = None
-    angle_deg: Annotated[Number, Field(ge=0, le=85)] | None = None
-    angle_uncertainty_deg: Annotated[Number, Field(ge=0, le=30)] | None = None
+    title: Annotated[Text, CATALOGUE] = ""
+    description: Annotated[Text, CATALOGUE] = ""
+    spectrum: Annotated[PathText | None, LIGHT] = None
+    angle_deg: Annotated[Annotated[Number, Field(ge=0, le=85)] | None, CAMERA] = None
+    angle_uncertainty_deg: Annotated[Annotated[Number, Field(ge=0, le=30)] | None, CAMERA] = None
     cameras: dict[str, SetupCamera] = {}
 
 
 class ObjectFacts(Table):
     """Museum facts of a painting, and its outline in the reference's frame, native px of the reference band."""
 
-    title: Text = ""
+    read_by: ClassVar[str] = REPORT
+
+    title: Annotated[Text, FACT] = ""
     creator: Text = ""
     date: MuseumDate | None = None
     medium: Text = ""
-    size_mm: SizeMm | None = None
+    size_mm: Annotated[SizeMm | None, FACT] = None
     owner: Text = ""
-    rights: Text = ""
+    rights: Annotated[Text, FACT] = ""
     inventory: Text = ""
-    outline: Outline | None = None
+    outline: Annotated[Outline | None, REGISTER] = None
 
     def museum_facts(self) -> dict[str, Any]:
         """Return what is published of the painting; its outline is of one camera's frame."""
@@ -359,6 +392,8 @@ class ObjectFacts(Table):
 class Creator(Table):
     """A person who made the database, or an organisation."""
 
+    read_by: ClassVar[str] = CATALOGUE
+
     name: Annotated[Text, Field(min_length=1)]
     orcid: Orcid | None = None
     affiliation: Text = ""
@@ -367,6 +402,8 @@ class Creator(Table):
 
 class PublicationKeys(Table):
     """Citation facts of the published database."""
+
+    read_by: ClassVar[str] = CATALOGUE
 
     creators: tuple[Annotated[Creator, BeforeValidator(_creator)], ...] = ()
     description: Text = ""
