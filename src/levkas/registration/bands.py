@@ -14,17 +14,13 @@ import cv2
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from levkas.core.compiled import njit
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
 from levkas.registration.local_shifts_kernel import LATTICE_PX
 
-STRETCH_PERCENT = (0.5, 99.5)
-#: Share of the bands that must be valid where their mean is.
-LEAST_BANDS_SHARE = 0.5
-#: Share of the pixels of the fullest band that a band must have; half of it, or 1.5 times, separates the same bands
-#: where some are bad as a whole and others lack glints.
-LEAST_PRESENT = 0.5
+LEAST_BANDS_SHARE, LEAST_PRESENT = 0.5, 0.5
+"""Share of the bands that must be valid where their mean is; share of the pixels of the fullest band that a band must have: half of it, or
+1.5 times, separates the same bands where some are bad as a whole and others lack glints."""
 #: Rows that are interpolated at once; share of an interpolated pixel that has to be valid.
 PULLED_ROWS, WHOLE_SHARE = 256, 0.999
 #: Sampled values of which the range of an image is estimated.
@@ -177,22 +173,10 @@ def region_mask(region: Sequence[float] | None, shape: tuple[int, ...]) -> np.nd
 
 
 def grey(images: Sequence[BandImage]) -> tuple[np.ndarray, np.ndarray]:
-    """Average the bands of one sensor: the paper's grey picture of a camera.
+    """Average the bands of one sensor, all of one size: the paper's grey picture of a camera, (h, w) float32, and where half of the bands are valid.
 
-    Raises ValueError with no band, or bands of different sizes.
-
-    Parameters
-    ----------
-    images : sequence of BandImage
-        All of one size.
-
-    Returns
-    -------
-    values : ndarray, (h, w), float32
-        Mean over the bands that are valid at the pixel, each brought to the level of all bands; 0
-        where none is.
-    valid : ndarray, (h, w), bool
-        At least half of the bands are valid there.
+    The mean over the bands that are valid at the pixel, each brought to the level of all bands: one that is missing leaves no step. Raises
+    ValueError with no band, or bands of different sizes.
 
     Examples
     --------
@@ -203,41 +187,23 @@ def grey(images: Sequence[BandImage]) -> tuple[np.ndarray, np.ndarray]:
     sizes = {image.size for image in images}
     if len(sizes) != 1:
         raise ValueError(f"a grey picture needs bands of one size, got {sorted(sizes)}")
-    total = np.zeros(images[0].values.shape, np.float64)
-    count = np.zeros(images[0].values.shape, np.float32)
-    levels = np.zeros(images[0].values.shape, np.float64)
+    total, count = np.zeros(images[0].values.shape), np.zeros(images[0].values.shape, np.float32)
     for image in images:
         good = image.valid & np.isfinite(image.values)
-        values = np.where(good, image.values, np.float32(0))
-        total += values
+        level = float(image.values.sum(dtype=np.float64, where=good)) / max(int(good.sum()), 1)
+        total += np.where(good, image.values, level)
         count += good
-        # A band that is missing at a pixel must not leave a step there: it counts as its mean.
-        level = float(values.sum(dtype=np.float64)) / max(int(good.sum()), 1)
-        levels += np.where(good, 0.0, level)
-    valid = count >= LEAST_BANDS_SHARE * len(images)
-    mean = np.where(count > 0, (total + levels) / len(images), 0.0)
-    return mean.astype(np.float32), valid
+    mean = np.where(count > 0, total / len(images), 0.0)
+    return mean.astype(np.float32), count >= LEAST_BANDS_SHARE * len(images)
 
 
 def area_average(
     values: np.ndarray, valid: np.ndarray, scale: float
 ) -> tuple[np.ndarray, np.ndarray, Affine]:
-    """Reduce an image to `scale` times its size by area averages over what is valid.
+    """Reduce an image, (h, w), to `scale` times its size, 0 < scale <= 1, rounded to whole px, by area averages over what is valid.
 
-    Raises ValueError where `scale` is not within (0, 1].
-
-    Parameters
-    ----------
-    values, valid : ndarray, (h, w), float32 and bool
-    scale : float
-        0 < scale <= 1; the size is rounded to whole pixels.
-
-    Returns
-    -------
-    values, valid : ndarray
-        Reduced; a pixel is valid where at least half of its area is.
-    back : Affine
-        Reduced px → px of `values`, with the exact ratio of the two sizes on each axis.
+    Returns values, where at least half of their area is valid, and reduced px → px of the image, with the exact ratio of the two sizes on
+    each axis. Raises ValueError of another scale.
     """
     if not 0 < scale <= 1:
         raise ValueError(f"scale must be in (0, 1], got {scale}")
@@ -256,19 +222,9 @@ def area_average(
 def pull(
     values: np.ndarray, valid: np.ndarray, transform: Transform, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolate an image linearly on a grid of `shape`, some rows at a time.
+    """Interpolate an image, (h, w), linearly on a grid of `shape`, some rows at a time; `transform` is grid px → px of the image.
 
-    Parameters
-    ----------
-    values, valid : ndarray, (h, w), float32 and bool
-    transform : Transform
-        Grid px → px of the image.
-    shape : (height, width) of the grid
-
-    Returns
-    -------
-    values, valid : ndarray, `shape`, float32 and bool
-        Valid where all that is interpolated is.
+    Returns values, float32, and where all that is interpolated is valid.
     """
     h, w = shape
     filled = np.where(valid, values, 0).astype(np.float32)
@@ -287,17 +243,9 @@ def pull(
 
 
 def evaluate_lattice(transform: Transform, shape: tuple[int, int], step: float = 1.0) -> np.ndarray:
-    """Return where every 8th px of a grid lies under a map, (rows, columns, 2).
+    """Return where every 8th px of a grid of `shape`, `step` source px a px, lies under a map, (rows, columns, 2).
 
     Between them a map is interpolated linearly: to 1e-4 px for lenses with up to one per cent of distortion.
-
-    Parameters
-    ----------
-    transform : Transform
-        Source px → target px.
-    shape : (height, width) of the grid
-    step : float
-        Source px per px of the grid.
     """
     rows, columns = (ceil((n - 1) / LATTICE_PX) + 1 for n in shape)
     x, y = np.meshgrid(np.arange(columns) * LATTICE_PX, np.arange(rows) * LATTICE_PX)
@@ -317,28 +265,16 @@ def _between_nodes(lattice: np.ndarray, places: np.ndarray, axis: int) -> np.nda
 
 
 def stretch(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Stretch the 0.5–99.5 percentile range of what is valid to 0–255.
+    """Stretch the 0.5–99.5 percentile range of what is valid to 0–255, uint8; mid-grey elsewhere, and everywhere where nothing varies.
 
-    Parameters
-    ----------
-    values, valid : ndarray, (h, w), float and bool
-
-    Returns
-    -------
-    picture : ndarray, (h, w), uint8
-        Mid-grey where `valid` is false, and everywhere where nothing varies.
-
-    Examples
-    --------
-    >>> picture = stretch(np.array([[0.0, 1.0]]), np.array([[True, True]]))
-    >>> int(picture[0, 0]), int(picture[0, 1])
-    (0, 255)
+    >>> stretch(np.array([[0.0, 1.0]]), np.array([[True, True]])).tolist()
+    [[0, 255]]
     """
     picture = np.full(values.shape, 127, np.uint8)
     good = valid & np.isfinite(values)
     if not good.any():
         return picture
-    low, high = np.percentile(values[good], STRETCH_PERCENT)
+    low, high = np.percentile(values[good], (0.5, 99.5))
     if not high > low:
         return picture
     levels = (values[good].astype(np.float64) - low) * (255.0 / (high - low))
@@ -384,31 +320,13 @@ def _inpaint(image: np.ndarray) -> np.ndarray:
     if not hole.any() or hole.all():
         return image
     side = LARGE_HOLE
-    kernel = np.ones((side, side), np.uint8)
     framed = np.pad(hole.view(np.uint8), side, constant_values=1)
-    opened = np.asarray(cv2.morphologyEx(framed, cv2.MORPH_OPEN, kernel))
-    small = np.flatnonzero(hole & (opened[side:-side, side:-side] == 0))
-    reach = 3 * LARGE_HOLE // 2
-    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (LARGE_HOLE / 2)) ** 2)
-    mended = image.copy()
-    mended.reshape(-1)[small] = _means_around(image, small, taps)
-    return mended
-
-
-@njit(cache=True)
-def _means_around(image, places, taps):  # type: ignore[no-untyped-def]
-    """Weighted mean of what is valid about each place, counted row by row; NaN where nothing is."""
-    height, width = image.shape
-    reach = len(taps) // 2
-    out = np.empty(len(places), np.float32)
-    for n in range(len(places)):
-        total, weight = 0.0, 0.0
-        row, column = places[n] // width, places[n] % width
-        for y in range(max(row - reach, 0), min(row + reach + 1, height)):
-            for x in range(max(column - reach, 0), min(column + reach + 1, width)):
-                if np.isfinite(image[y, x]):
-                    tap = taps[y - row + reach] * taps[x - column + reach]
-                    total += tap * image[y, x]
-                    weight += tap
-        out[n] = total / weight if weight > 0.0 else np.nan
-    return out
+    opened = cv2.morphologyEx(framed, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
+    small = hole & (opened[side:-side, side:-side] == 0)
+    taps = cv2.getGaussianKernel(3 * side | 1, side / 2)
+    total, weight = (
+        cv2.sepFilter2D(part.astype(np.float32), -1, taps, taps, borderType=cv2.BORDER_CONSTANT)
+        for part in (np.where(np.isfinite(image), image, 0), np.isfinite(image))
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(small, total / weight, image)

@@ -15,55 +15,34 @@ from itertools import product
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
-from levkas.core.compiled import njit
 from levkas.core.threads import each
 from levkas.geometry.transforms import Polynomial, design_matrix
 from levkas.registration.local_shifts import WindowShifts
 from levkas.registration.models import inflate_covariance
 
-
-@dataclass(frozen=True)
-class ChromaticSettings:
-    """Constants of the chromatic shifts."""
-
-    blocks: int = 8
-    """Across the longer side, in which the gradients of windows are summed."""
-    least_windows: int = 12
-    """Of a band; with fewer it takes its shift from the other bands."""
-    rounds: int = 6
-    """Of re-weighting windows."""
-    lengths: tuple[float, ...] = (80.0, 200.0, 500.0)
-    """In nm: correlation lengths over wavelength that are tried."""
-    smooth: tuple[float, ...] = (1.0, 10.0)
-    own: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0)
-    """`smooth`, `own`: variances of the smooth part, beside none at all, and of each band's own, in units of the amounts'
-    mean square."""
-    least_bands: int = 4
-    """Of different wavelengths from which amounts are smoothed."""
-    least_variance: float = 1e-10
-
-
-SETTINGS = ChromaticSettings()
-
-# Columns of a cubic polynomial: 1 u v uu uv vv uuu uuv uvv vvv; rows below are (x′, y′) of each.
-_FIELDS: list[tuple[str, list[dict[tuple[int, int], int]]]] = [
-    ("shift", [{(0, 0): 1}, {(0, 1): 1}]),
-    ("similarity", [{(1, 0): 1, (2, 1): 1}, {(2, 0): -1, (1, 1): 1}]),
-    ("affine", [{(1, 0): 1, (2, 1): -1}, {(2, 0): 1, (1, 1): 1}]),
-    ("radial", [{(6, 0): 1, (8, 0): 1, (7, 1): 1, (9, 1): 1}]),
-    ("quadratic", [{(k, a): 1} for k in (3, 4, 5) for a in (0, 1)]),
-    ("cubic", [{(k, a): 1} for k in (6, 7, 8) for a in (0, 1)] + [{(9, 0): 1}]),
-]
-KINDS = [name for name, _ in _FIELDS]
-#: How large a field is expected to be beside shift and magnification; None: as the data say.
-SHARES: dict[str, float | None] = {
-    "shift": None,
-    "similarity": None,
-    "affine": 0.1,
-    "radial": 0.2,
-    "quadratic": 0.03,
-    "cubic": 0.03,
+BLOCKS = 8
+"""Across the longer side, in which the gradients of windows are summed."""
+LEAST_WINDOWS, ROUNDS = 12, 6
+"""Windows of a band, with fewer of which it takes its shift from the other bands; rounds of re-weighting them."""
+LENGTHS, SMOOTH, OWN = (80.0, 200.0, 500.0), (1.0, 10.0), (0.0, 0.01, 0.1, 1.0)
+"""Scales that are tried: correlation lengths over wavelength, nm; variances of the smooth part, beside none at all, and of each band's
+own, in units of the amounts' mean square."""
+LEAST_BANDS = 4
+"""Of different wavelengths from which amounts are smoothed."""
+LEAST_VARIANCE = 1e-10
+"""Of an amount, px²."""
+FIELDS: dict[str, list[dict[tuple[int, int], int]]] = {
+    "shift": [{(0, 0): 1}, {(0, 1): 1}],
+    "similarity": [{(1, 0): 1, (2, 1): 1}, {(2, 0): -1, (1, 1): 1}],
+    "affine": [{(1, 0): 1, (2, 1): -1}, {(2, 0): 1, (1, 1): 1}],
+    "radial": [{(6, 0): 1, (8, 0): 1, (7, 1): 1, (9, 1): 1}],
+    "quadratic": [{(k, a): 1} for k in (3, 4, 5) for a in (0, 1)],
+    "cubic": [{(k, a): 1} for k in (6, 7, 8) for a in (0, 1)] + [{(9, 0): 1}],
 }
+"""Kind → its fields, each by (column of a cubic polynomial 1 u v uu uv vv uuu uuv uvv vvv, x′ or y′) → coefficient."""
+KINDS = list(FIELDS)
+SHARES = {"affine": 0.1, "radial": 0.2, "quadratic": 0.03, "cubic": 0.03}
+"""How large a field is expected to be beside shift and magnification, which are as the data say."""
 
 
 @dataclass(frozen=True)
@@ -111,23 +90,12 @@ def fit_chromatic(
     fixed: int | None = None,
     sensitivity: np.ndarray | None = None,
 ) -> ChromaticShifts:
-    """Return `before` corrected by what the windows of each band saw.
+    """Return `before`, with which they were warped, corrected by what the windows of each band, all on one lattice, saw.
 
-    Parameters
-    ----------
-    windows : one `WindowShifts` a band, all on the same lattice
-    before : ChromaticShifts
-        What the windows were warped with.
-    wavelengths : nm, NaN where unknown
-    common : ndarray, (n, 2), px, optional
-        Shift of each window that the base map takes care of.
-    highest : str
-        The richest fields that may be used.
-    fixed : int, optional
-        The band that all else is relative to and that stays where it is.
-    sensitivity : ndarray, (bands, bands), optional
-        How the position of each band's prediction hangs on those of the bands: what a window sees
-        is the band's shift less theirs. Without it predictions are taken to be where they should.
+    `wavelengths` are nm, NaN where unknown; `common`, (n, 2) px, is the shift of each window that the base map takes care of; `highest` is the
+    richest kind of fields; the band `fixed` stays where it is, and all else is relative to it. `sensitivity`, (bands, bands), says how the
+    position of each band's prediction hangs on those of the bands: what a window sees is the band's shift less theirs. Without it
+    predictions are taken to be where they should.
     """
     names = KINDS[: KINDS.index(highest) + 1]
     count = _size(names[-1])
@@ -135,34 +103,25 @@ def fit_chromatic(
     width = min(count, before.amounts.shape[1])
     earlier[:, :width] = before.amounts[:, :width]
     terms = design_matrix(windows[0].centres, 3, before.centre, before.spread)
-    design = np.einsum("nk,fka->anf", terms, _tensor(count))
+    design = np.einsum("nk,fka->naf", terms, _tensor(count))
     systems = each(lambda w, e: _system(w, design, e, common), windows, earlier)
     free = min(count, _size("similarity"))
     apart = np.eye(len(windows)) - (0.0 if sensitivity is None else sensitivity)
+    # Bands differ by shift and magnification first; other fields are small beside them.
     prior = np.zeros(free)
-    measured, variances = _amounts(systems, prior, earlier, apart)
-    amounts, doubts = _smooth(measured, variances, wavelengths, fixed, apart, prior)
-    if count > free:
-        # Bands differ by shift and magnification first; other fields are small beside them.
-        size = float(np.sqrt(np.mean(amounts**2) * free))
-        shares = [SHARES[name] for name, group in _FIELDS if name in names for _ in group]
-        prior = np.array([0.0 if s is None else 1 / (s * size + 1e-4) ** 2 for s in shares])
+    for _ in range(1 + (count > free)):
         measured, variances = _amounts(systems, prior, earlier, apart)
         amounts, doubts = _smooth(measured, variances, wavelengths, fixed, apart, prior)
+        size = float(np.sqrt(np.mean(amounts**2) * free))
+        prices = {name: (share * size + 1e-4) ** -2 for name, share in SHARES.items()}
+        prior = np.array([prices.get(name, 0.0) for name in names for _ in FIELDS[name]])
     return ChromaticShifts(names[-1], before.centre, before.spread, amounts, doubts)
 
 
 def interpolate_chromatic(
     shifts: ChromaticShifts, measured: Sequence[float], wanted: Sequence[float]
 ) -> ChromaticShifts:
-    """Return the displacements of bands at other wavelengths, by the same Gaussian process over wavelength.
-
-    Parameters
-    ----------
-    shifts : ChromaticShifts
-        Of the bands that were measured.
-    measured, wanted : sequence of float, nm
-        Their wavelengths, and those at which displacements are wanted.
+    """Return the displacements of bands at the `wanted` wavelengths, nm, from those of the `measured` ones, by the same process over wavelength.
 
     Examples
     --------
@@ -177,7 +136,7 @@ def interpolate_chromatic(
     amounts, doubts = np.zeros((2, len(wanted), count))
     for column in range(count):
         y = shifts.amounts[:, column]
-        noise = np.full(len(y), SETTINGS.least_variance)
+        noise = np.full(len(y), LEAST_VARIANCE)
         if shifts.variances is not None:
             noise = noise + shifts.variances[:, column]
         mean, variance = _posterior(y, noise, selection, bends, 0.0)
@@ -207,95 +166,64 @@ def error_between_bands(shifts: ChromaticShifts, wavelengths: Sequence[float]) -
 
 
 def _size(kind: str) -> int:
-    return sum(len(fields) for _, fields in _FIELDS[: KINDS.index(kind) + 1])
+    return sum(len(FIELDS[name]) for name in KINDS[: KINDS.index(kind) + 1])
 
 
 def _tensor(count: int) -> np.ndarray:
-    fields = [field for _, group in _FIELDS for field in group][:count]
+    """Return the coefficients of the first fields, (fields, 10, 2)."""
     tensor = np.zeros((count, 10, 2))
-    for f, field in enumerate(fields):
-        for (k, axis), value in field.items():
-            tensor[f, k, axis] = value
+    for f, field in enumerate([field for group in FIELDS.values() for field in group][:count]):
+        for place, value in field.items():
+            tensor[f][place] = value
     return tensor
 
 
 def _system(
     windows: WindowShifts, design: np.ndarray, earlier: np.ndarray, common: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return normal matrix (f, f) and right side (f,) of a band's total amounts; `design` is (2, n, f).
+    """Return normal matrix (f, f) and right side (f,) of a band's total amounts; `design` is (n, 2, f).
 
     What a prediction gets wrong pulls all windows along a stroke or a patch the same way. The
     matrix is deflated until the gradients of whole blocks scatter as it says they should.
     """
     count = len(earlier)
     used = np.trace(windows.information, axis1=1, axis2=2) > 0
-    if used.sum() < SETTINGS.least_windows:
+    if used.sum() < LEAST_WINDOWS:
         return np.zeros((count, count)), np.zeros(count)
-    design = design[:, used]
+    design = design[used]
     shift = windows.shift if common is None else windows.shift - common
-    goal = (design @ earlier).T - shift[used]
-    information, residual = _reweighted(design, goal, windows.information[used])
-    design = np.ascontiguousarray(design)
-    matrix, right = _normal(design, information, goal, count)
+    goal = design @ earlier - shift[used]
     size = min(count, _size("similarity"))
-    blocks = _blocks(windows.centres[used])
-    summed = np.zeros((int(blocks.max()) + 1, size))
-    _add_gradients(design, information, residual, blocks, summed)
+    lean, given = design[..., :size], windows.information[used]
+    information, residual = given, goal
+    for _ in range(ROUNDS):
+        residual = goal - lean @ _solve(*_normal(lean, information, goal))
+        floored, weights = inflate_covariance(residual, given)
+        information = floored * weights[:, None, None]
+    matrix, right = _normal(design, information, goal)
+    gradients = np.einsum("naf,nab,nb->nf", lean, information, residual)
+    points = windows.centres[used]
+    low, high = points.min(0), points.max(0)
+    cell = ((points - low) / max(float((high - low).max()) / BLOCKS, 1e-9)).astype(int)
+    summed = np.zeros(((BLOCKS + 1) ** 2, size))
+    np.add.at(summed, cell @ (1, BLOCKS + 1), gradients)
     scatter = np.trace(np.linalg.pinv(matrix[:size, :size]) @ (summed.T @ summed))
     deflate = max(float(scatter) / size, 1.0)
     return matrix / deflate, right / deflate
 
 
-def _reweighted(
-    design: np.ndarray, goal: np.ndarray, information: np.ndarray
+def _normal(
+    design: np.ndarray, information: np.ndarray, goal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    size = _size("similarity")
-    lean = np.ascontiguousarray(design[..., :size])
-    current, residual = information, goal
-    for _ in range(SETTINGS.rounds):
-        residual = goal - (lean @ _solve(*_normal(lean, current, goal, lean.shape[2]))).T
-        floored, weights = inflate_covariance(residual, information)
-        current = floored * weights[:, None, None]
-    return current, residual
-
-
-@njit(cache=True)
-def _normal(design, information, goal, count):  # type: ignore[no-untyped-def]
-    """Return normal matrix and right side of `design`, (2, n, count), under weights of 2 x 2."""
-    matrix, right = np.zeros((count, count)), np.zeros(count)
-    for n in range(design.shape[1]):
-        a, b, c = information[n, 0, 0], information[n, 0, 1], information[n, 1, 1]
-        for i in range(count):
-            x = a * design[0, n, i] + b * design[1, n, i]
-            y = b * design[0, n, i] + c * design[1, n, i]
-            for j in range(count):
-                matrix[i, j] += x * design[0, n, j] + y * design[1, n, j]
-            right[i] += x * goal[n, 0] + y * goal[n, 1]
-    return matrix, right
-
-
-@njit(cache=True)
-def _add_gradients(design, information, residual, blocks, summed):  # type: ignore[no-untyped-def]
-    """Add the gradients of the first amounts to the sums of each block, (blocks, amounts)."""
-    for n in range(design.shape[1]):
-        a, b, c = information[n, 0, 0], information[n, 0, 1], information[n, 1, 1]
-        for i in range(summed.shape[1]):
-            x = a * design[0, n, i] + b * design[1, n, i]
-            y = b * design[0, n, i] + c * design[1, n, i]
-            summed[blocks[n], i] += x * residual[n, 0] + y * residual[n, 1]
-    return summed
+    """Return normal matrix and right side of `design`, (n, 2, count), under weights, (n, 2, 2)."""
+    weighted = (information @ design).reshape(-1, design.shape[2])
+    return weighted.T @ design.reshape(weighted.shape), weighted.T @ goal.reshape(-1)
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-30))
     solved = np.linalg.lstsq(matrix * scale[:, None] * scale, right * scale, rcond=1e-10)[0]
     return solved * scale
-
-
-def _blocks(points: np.ndarray) -> np.ndarray:
-    low, high = points.min(0), points.max(0)
-    block = ((points - low) / max(float((high - low).max()) / SETTINGS.blocks, 1e-9)).astype(int)
-    return np.asarray(block[:, 0] * (SETTINGS.blocks + 1) + block[:, 1])
 
 
 def _amounts(
@@ -339,15 +267,15 @@ def _smooth(
     the variance that is expected of a field. Returns the amounts and their variances.
     """
     places = np.asarray(wavelengths, float)
-    smooth = np.isfinite(places).all() and len(np.unique(places)) >= SETTINGS.least_bands
+    smooth = np.isfinite(places).all() and len(np.unique(places)) >= LEAST_BANDS
     result, doubts = np.zeros_like(measured), np.zeros_like(measured)
     for column in range(measured.shape[1]):
         known = np.isfinite(variances[:, column])
-        selection, noise = apart[known], variances[known, column] + 1e-10
+        selection, noise = apart[known], variances[known, column] + LEAST_VARIANCE
         y = measured[known, column]
         if fixed is not None:
             selection = np.vstack([selection, np.eye(len(apart))[fixed]])
-            y, noise = np.append(y, 0.0), np.append(noise, 1e-10)
+            y, noise = np.append(y, 0.0), np.append(noise, LEAST_VARIANCE)
         if len(y):
             bends = _correlations(selection, places) if smooth else []
             result[:, column], doubts[:, column] = _posterior(
@@ -361,9 +289,8 @@ Correlations = list[tuple[np.ndarray, np.ndarray]]
 
 
 def _correlations(selection: np.ndarray, places: np.ndarray) -> Correlations:
-    """Return the squared exponentials over `places`, (bands,) nm; `selection`, (measured, bands), is as of `_posterior`."""
     apart = (places[:, None] - places) ** 2
-    across = [selection @ np.exp(-0.5 * apart / nm**2) for nm in SETTINGS.lengths]
+    across = [selection @ np.exp(-0.5 * apart / nm**2) for nm in LENGTHS]
     return [(one, one @ selection.T) for one in across]
 
 
@@ -384,8 +311,8 @@ def _posterior(
     still = common * np.outer(rows, rows) + np.diag(noise)
     none = (np.zeros(selection.shape), np.zeros(single.shape)), 0.0
     best, chosen = -np.inf, None
-    for (across, within), share in [none, *product(bends, SETTINGS.smooth)]:
-        for own in SETTINGS.own:
+    for (across, within), share in [none, *product(bends, SMOOTH)]:
+        for own in OWN:
             factor, failed = dpotrf(still + size * (share * within + own * single), lower=1)
             if failed:
                 continue
