@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from levkas.core.cube import Band, Cube
-from levkas.stages.above_white import count_above, describe_above
+from levkas.stages.above_white import count_above, findings_of_counts
 
 BANDS = tuple(Band(label) for label in "RGB")
 
@@ -26,7 +26,7 @@ def test_a_dark_that_is_too_bright_is_named_where_dark_paint_lies_below_it(dark,
     truth = np.kron(np.geomspace(0.001, 1, 24).reshape(6, 4, 1), np.ones((20, 80, 1)))
     cube = cube_of(truth - dark + rng.normal(0, 0.001, truth.shape))
     counts = count_above(cube)
-    assert len(describe_above(counts, cube.labels)) == named
+    assert len([*findings_of_counts(counts, cube.labels)]) == named
     halves = [
         replace(cube, values=cube.values[part], flags=cube.flags[part], sigma=cube.sigma[part])
         for part in (np.s_[:7], np.s_[7:])

@@ -13,7 +13,7 @@ from levkas.building.inputs import of_report
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
-from levkas.stages.capture_statistics import DARK_FRAMES, PHOTONS, WHITE_FRAMES
+from levkas.stages.measurements import DARK_FRAMES, PHOTONS, WHITE_FRAMES
 from levkas.stages.spectra import read_certificate
 
 UNCERTAINTY = (

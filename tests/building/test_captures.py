@@ -207,10 +207,10 @@ ROWS = [
 
     # pixels that are no numbers
     *(Row(f"{value} in a {target}", "bands", {}, [set_at(f"{target}_550nm_*.tif", PLACE, value)],
-          [right(), flagged(Flag.DEFECT, DOT, 0.003, 1), told("550 nm", "1 value")])
+          [right(), flagged(Flag.DEFECT, DOT, 0.003, 1), told("550 nm: 1 of")])
       for target, value in (("panel", np.nan), ("white", np.inf), ("dark", -np.inf))),
     *(Row(f"nan in the {target} of a scan", "cube mirror", {}, [set_at(f"{target}.hdr", (7, 5, 2), np.nan)],
-          [right(), told("not a finite number") if target == "panel" else right()])
+          [right(), told("not finite numbers") if target == "panel" else right()])
       for target in ("panel", "white", "dark")),
     *(Row(f"no finite value in a {target}", "bands", {}, [set_at(f"{target}_650nm_*.tif", ..., np.nan)],
           [refused("E_VALUE", f"{target}_650nm", "pixels")]) for target in ("panel", "white", "dark")),
@@ -221,7 +221,7 @@ ROWS = [
     Row("8 bits where 12 are said", "bands", {}, [frames("*.tif", lambda c: (c >> 4).astype("u1"))],
         [refused("E_BITS", field="cameras.cam.bits")]),
     Row("a code beyond the bits", "bands mosaic", {}, [set_at("panel*_0.tif", PLACE, 4096, "u2")],
-        [refused("E_BITS", "panel", found=4096, expected="at most 4095")]),
+        [refused("E_BITS", "panel", found="4096", expected="at most 4095")]),
     Row("codes at the upper end of 16 bits", "bands", {"shift": 16, "keys": "bits = 12\nsaturation = 65520\n"}, [],
         [right(), quiet]),
     Row("8 bits stretched to 12", "bands", {"vignette": 0.6}, [frames("*.tif", clipped_codes(8)), frames("dark*", lambda c: 0 * c + 64)], [told("8 bits", "12")]),

@@ -78,7 +78,7 @@ def test_bad_bands_are_kept_and_used_for_nothing(tmp_path):
     )  # the middle one, which would be the reference
     made = developed(folder)
     cube = made.cube
-    assert [band.label for band in cube.bands if band.bad] == ["550 nm"] and made.told("bbl: 550")
+    assert [band.label for band in cube.bands if band.bad] == ["550 nm"] and made.told("bbl", "550")
     defect = cube.flags & Flag.DEFECT > 0
     assert defect[..., 1].all() and not defect[..., [0, 2]].any()
     assert np.abs(cube.values - TRUTH)[~EMPTY].max() < 6e-5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from levkas.calibration.differing_shots import (
+from levkas.calibration.sight import (
     Sight,
     difference_between,
 )

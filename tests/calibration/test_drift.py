@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.drift import (
+from levkas.calibration.lamp import (
     CellMeans,
     average_steady,
     black_between,

@@ -2,8 +2,12 @@ import cv2
 import numpy as np
 import pytest
 
-from levkas.calibration.exposures import best_exposure, merge_exposures
-from levkas.calibration.linearity import check_linearity, require_reciprocity
+from levkas.calibration.exposures import (
+    best_exposure,
+    check_linearity,
+    merge_exposures,
+    require_scaling,
+)
 from levkas.calibration.noise_fit import NoiseModel
 from levkas.calibration.templates import CalibrationRefused, average
 
@@ -176,6 +180,6 @@ def test_scaling_to_another_exposure_is_refused_with_where_it_broke(sensor):
     bent = series(sensor, rng, stated=(0.1, 0.4, 1.6, 6.9))
     found = check_linearity(bent, saturation=4095, black=64.0)
     with pytest.raises(CalibrationRefused) as refused:
-        require_reciprocity(found)
+        require_scaling(found)
     assert refused.value.problems[0].code == "E_EXPOSURES"
-    require_reciprocity(check_linearity(series(sensor, rng), saturation=4095, black=64.0))
+    require_scaling(check_linearity(series(sensor, rng), saturation=4095, black=64.0))

@@ -92,13 +92,14 @@ def test_flags_follow_object_and_white():
 def test_the_channel_that_has_no_white_is_named():
     lit = np.full((40, 40), 900, np.float32)
     lit[1::2, ::2] = 60
-    with pytest.raises(CalibrationRefused, match="the white is darker than the dark in R"):
+    with pytest.raises(CalibrationRefused, match="in R") as refused:
         flat_field(
             flat(90, shape=(40, 40)),
             flat(64, shape=(40, 40)),
             average([lit]),
             board=WhiteBoard(pattern="GBRG"),
         )
+    assert refused.value.problems[0].code == "E_WHITE_DARK"
 
 
 @pytest.mark.parametrize(

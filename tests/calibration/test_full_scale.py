@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.full_scale import SceneShots, find_full_scale
+from levkas.calibration.codes import SceneShots, find_full_scale
 
 H, W, BLACK, READ, FULL = 96, 160, 60.0, 2.5, 3600
 RNG = np.random.default_rng(4)

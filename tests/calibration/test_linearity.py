@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.linearity import ALIKE, find_bend, find_points
+from levkas.calibration.exposures import ALIKE, find_bend, find_points
 from levkas.calibration.templates import average
 
 GAIN, READ, BLACK, FULL = 0.25, 2.0, 60.0, 4095.0

@@ -5,10 +5,10 @@ import pytest
 
 from levkas.calibration.defects import find_defects, replace_defects
 from levkas.calibration.denoising import Projecting, find_subspace
-from levkas.calibration.drift import average_steady
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.exposures import merge_exposures
 from levkas.calibration.flatfield import flat_field
+from levkas.calibration.lamp import average_steady
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.templates import Template, average

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.drift import lamp_along
+from levkas.calibration.lamp import lamp_along
 from levkas.calibration.templates import ShotLevels
 
 

@@ -14,7 +14,6 @@ from levkas.building.build_records import BuildRecords, Key, key_of
 from levkas.building.graph import cameras_with_pages, page_key
 from levkas.building.inputs import digest, of_calibration, plain, read_by, written
 from levkas.calibration.chart_light import CHART_WHITE
-from levkas.calibration.drift import LAMP
 from levkas.campaign.discovery.find_captures import find_charts
 from levkas.campaign.schema.tables import CALIBRATE, CAMERA
 from levkas.core.disk import WriteRefused
@@ -25,14 +24,8 @@ from levkas.database.layout import LayerId
 from levkas.quality.targets.indicators import WhiteEvenness, lightness_spread
 from levkas.quality.targets.stray_light import NOT_MEASURED
 from levkas.stages.budget import budget_of
-from levkas.stages.capture_statistics import (
-    FEW_BANDS,
-    SENSELS,
-    STRAYED,
-    VIEW,
-    levels_of,
-)
 from levkas.stages.charts import edges_of
+from levkas.stages.measurements import FEW_BANDS, levels_of
 from levkas.stages.sources import made_with
 from levkas.stages.written import Written
 
@@ -110,7 +103,7 @@ def write_camera_page(page: CameraPage, outcomes: Outcomes, templates: TemplateC
         *(written(campaign, problem) for problem in problems),
         *(f"{m.name}: {m.stray_light}" for m in measures if m.stray_light),
     )
-    return Written(files, {"warnings": list(warnings), STRAYED: strayed}, warnings=warnings)
+    return Written(files, {"warnings": list(warnings), "stray_light": strayed}, warnings=warnings)
 
 
 def _charts_that_stay(
@@ -128,7 +121,7 @@ def _charts_that_stay(
 
 def stray_light_of(records: BuildRecords, capture: Capture) -> Mapping[str, Any]:
     """Return the stray light that charts showed of a capture's camera, under its setup where they were captured so; empty without any."""
-    return _under(capture.setup, records.notes(page_key(capture.camera)).get(STRAYED, {}))
+    return _under(capture.setup, records.notes(page_key(capture.camera)).get("stray_light", {}))
 
 
 def _under(setup: str, strayed: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Any]:
@@ -222,7 +215,9 @@ def _describe_budget(
     from levkas.pages.budget import describe_budget
 
     levels = {band.label: GREY for band in first.bands}
-    levels |= {label: at for one in measured.values() for label, at in one.get(VIEW, {}).items()}
+    levels |= {
+        label: at for one in measured.values() for label, at in one.get("mean_of_view", {}).items()
+    }
     noise = {
         label: float(
             np.linalg.norm([row.size.get(label, 0.0) for row in rows if row.common_to == "pixel"])
@@ -235,7 +230,7 @@ def _describe_budget(
 def _of_camera(records: BuildRecords, key: Key) -> dict[str, dict[str, Any]]:
     """Return what a calibration measured of sensors and light, by sensor."""
     return {
-        sensor: {name: value for name, value in one.items() if name != SENSELS}
+        sensor: {name: value for name, value in one.items() if name != "sensels"}
         for sensor, one in records.notes(key).get("measured", {}).items()
     }
 
@@ -313,7 +308,7 @@ def _page(
     strayed: bool,
 ) -> str:
     """Return the HTML of a camera's page; `strayed` is whether stray light was measured."""
-    from levkas.calibration.sensor_context import spread
+    from levkas.calibration.sensor import spread
     from levkas.pages.charts import describe_chart
     from levkas.pages.page import render_page
     from levkas.pages.radiometry import draw_light
@@ -330,7 +325,7 @@ def _page(
             shown = {*spread(list(fields), FEW_BANDS)}
             shown |= {label for label, light in fields.items() if "refused" in light}
             lights += [(f"{name} {b}".strip(), f) for b, f in fields.items() if b in shown]
-            lamps = of_sensor.get(LAMP, {}).values()
+            lamps = of_sensor.get("lamp", {}).values()
             if fields:
                 known = any(one["white"] is not None for one in lamps)
                 notes.append(LAMP_JUMP if known else LAMP_UNKNOWN)
@@ -338,7 +333,7 @@ def _page(
                 label = drawn[len(drawn) // 2]
                 what = f"{name} {label}".strip()
                 figures += draw_light(fields[label], levels_of(fields[label]), what)
-            strayed = strayed or STRAYED in of_sensor
+            strayed = strayed or "stray_light" in of_sensor
     if lights and not strayed:
         notes.append(NOT_MEASURED)
     return render_page(

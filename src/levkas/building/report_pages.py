@@ -16,7 +16,7 @@ from levkas.building.graph import is_reference
 from levkas.building.inputs import WRITTEN, frames_of, relative, use_of, written
 from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.error_sources import ErrorSource
-from levkas.calibration.sensor_context import Times, times_of
+from levkas.calibration.sensor import Times, times_of
 from levkas.campaign.discovery.captures import Capture, SensorFrames
 from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text

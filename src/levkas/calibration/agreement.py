@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.calibration.code_spacing import Alignment, find_alignment
-from levkas.calibration.templates import CalibrationRefused
+from levkas.calibration.codes import Alignment
+from levkas.calibration.findings import CalibrationRefused
 from levkas.core.problems import Problem
 from levkas.readers.black_levels import BlackLevels
 from levkas.readers.compared_facts import (
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from levkas.readers.facts import Facts
 
 ROLES = ("object", "white", "chart", "dark")
-LEVELS_OF_RAW = ("bits", "saturation", "black", "pattern")
-"""Of a camera raw they are known where it is decoded."""
 OF_ONE_NOISE = ("iso", "gain", "make", "model", "serial")
 """May differ from band to band, and then one model of the noise is not that of every band."""
 DECLARED, IN_NAME = "campaign.toml", "its name or the manifest"
@@ -123,7 +121,7 @@ class Contradiction:
         other = self.names[1]
         return Problem(
             "E_FACTS",
-            f"{camera}: {self.role} and {other} differ in {self.fact.title}",
+            f"{self.role} and {other} differ in {self.fact.title}",
             str(self.path),
             self.fact.title,
             self.found + (f", and {self.more} more differ" if self.more else ""),
@@ -140,7 +138,9 @@ def facts_of(frame: FrameRef) -> Facts:
     return facts_of_bands(facts, frame.order) if frame.order else facts
 
 
-def compare_facts(camera: Camera, sensor: SensorFrames, alignments: Sequence[Aligned]) -> list[str]:
+def compare_facts(
+    camera: Camera, sensor: SensorFrames, alignments: Sequence[Aligned] | None = None
+) -> list[str]:
     """Compare what all frames of a sensor state; return notes.
 
     Raises CalibrationRefused, E_FACTS, once for a fact and role, with both files, both values and what to do. A photograph, of
@@ -152,16 +152,16 @@ def compare_facts(camera: Camera, sensor: SensorFrames, alignments: Sequence[Ali
         Its `overrule` accepts contradictions by their names.
     sensor : SensorFrames
         The headers of its files are read.
-    alignments : sequence of Aligned
-        Of some frames.
+    alignments : sequence of Aligned, optional
+        Of all frames. None: none was decoded.
 
     Returns
     -------
     notes : list of str
         What `overrule` accepts, what differs without making a value wrong, what campaign.toml declares otherwise.
     """
-    every = _stated(sensor)
-    between = [*_between_files(camera, sensor, every), *_between_alignments(alignments)]
+    every = _stated(sensor, decoded=alignments is not None)
+    between = [*_between_files(camera, sensor, every), *_between_alignments(alignments or ())]
     known = {(one.fact, one.path) for one in between}
     declared = _with_declaration(camera, sensor, every)
     found = _merged([*between, *(one for one in declared if (one.fact, one.path) not in known)])
@@ -180,7 +180,7 @@ def compare_facts(camera: Camera, sensor: SensorFrames, alignments: Sequence[Ali
     ]
     if idle := [name for name in camera.overrule if name not in accepted]:
         notes.append(f"`overrule` of {', '.join(idle)} has no effect: these files agree")
-    return [f"{camera.name}: {note}" for note in notes]
+    return notes
 
 
 def _is_moved(sensor: SensorFrames, frame: FrameRef) -> bool:
@@ -192,43 +192,6 @@ def _is_moved(sensor: SensorFrames, frame: FrameRef) -> bool:
 
 def _is_fatal(camera: Camera, one: Contradiction) -> bool:
     return one.severity == "refused" and camera.traits.is_calibrated
-
-
-def check_alike(
-    camera: Camera,
-    first: tuple[Facts, Path],
-    alignments: Sequence[Aligned],
-    values: np.ndarray,
-    path: Path,
-) -> None:
-    """Refuse what shows only where a frame is decoded: codes aligned otherwise, other levels of a camera raw.
-
-    Raises CalibrationRefused, E_FACTS.
-
-    Parameters
-    ----------
-    first : (Facts, Path)
-        Of the object's first frame, and its file.
-    values : ndarray
-        Rows of the frame.
-    path : Path
-        Of the frame.
-    """
-    facts, by = first
-    found = []
-    if facts.kind == "raw":
-        one = read_facts(path)
-        levels = (FACTS_BY_NAME[level] for level in LEVELS_OF_RAW)
-        pairs = ((fact, read_fact(fact, facts), read_fact(fact, one)) for fact in levels)
-        for fact, expected, value in pairs:
-            if None not in (expected, value) and fact.compare(expected, value) == "refused":
-                texts = describe_value(fact, value), describe_value(fact, expected)
-                found.append(Contradiction(fact, "refused", "a frame", path, *texts, by))
-    elif alignments and (alignment := find_alignment([values])):
-        found += _against(alignments, Aligned("a frame", path, alignment))
-    fatal = [o for o in found if _is_fatal(camera, o) and o.fact.name not in camera.overrule]
-    if fatal:
-        raise CalibrationRefused(*(one.problem(camera.name) for one in fatal))
 
 
 def _merged(found: Iterable[Contradiction]) -> list[Contradiction]:
@@ -245,13 +208,13 @@ def _merged(found: Iterable[Contradiction]) -> list[Contradiction]:
 # --- file with file ------------------------------------------------------------------------------
 
 
-def _stated(sensor: SensorFrames) -> list[Stated]:
-    """Return all frames of a sensor with their facts; of camera raws after a role's first the EXIF alone."""
+def _stated(sensor: SensorFrames, *, decoded: bool) -> list[Stated]:
+    """Return all frames of a sensor with their facts; of camera raws that were not decoded after a role's first the EXIF alone."""
     found = []
     for role in ROLES:
         for i, frame in enumerate(getattr(sensor, role)):
             facts = facts_of(frame)
-            if facts.kind == "raw" and i == 0:
+            if facts.kind == "raw" and (i == 0 or decoded):
                 facts = read_facts(frame.path)
             found.append(Stated(role, frame, facts))
     return found

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from levkas.calibration.findings import refusal
 from levkas.calibration.patterns import thin_periods
-from levkas.calibration.templates import CalibrationRefused, DarkFit, Template
-from levkas.core.problems import Problem
+from levkas.calibration.templates import DarkFit, Template
 
 MANY_ZEROS = 0.005  # of the pixels: fewer bias the mean of a dark by less than 0.002 of its noise
 FAR = 4.0  # spreads from 0 to the median: zeros below are dead sensels', not the noise's
@@ -139,16 +139,7 @@ def _check_informative(frames: Sequence[np.ndarray], zeros: float) -> None:
     beyond = max(int(np.logical_or.reduce(part).sum()) for part in zip(*parts, strict=True))
     if beyond >= FEWEST:
         return
-    raise CalibrationRefused(
-        Problem(
-            "E_DARK_CLIPPED",
-            "the darks are clipped too strongly to measure the black level",
-            found=f"{zeros:.1%} zeros, {beyond} pixels at 2 to 4 counts",
-            expected=f"{FEWEST} or more",
-            fix="Raise the camera's black level (offset) by some counts, or capture an exposure series "
-            "of a lit scene: black is fitted from it.",
-        )
-    )
+    raise refusal("clipped_too_much", number=zeros, limit=beyond)
 
 
 def _first_guess(codes: np.ndarray) -> np.ndarray:

@@ -8,14 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
+from levkas.calibration.findings import refusal
 from levkas.calibration.templates import (
-    CalibrationRefused,
     Template,
     bands_alike,
     level_of,
     pick_bands,
 )
-from levkas.core.problems import Problem
 
 SAME_TIME = 0.01  # relative: EXIF rounds 1/60 s to 0.017 s now and then
 
@@ -192,15 +191,7 @@ def _spread_of(dark: Template) -> tuple[np.ndarray | None, float, int]:
 
 def _only(darks: list[Template]) -> MatchedDark:
     if len(darks) > 1:
-        raise CalibrationRefused(
-            Problem(
-                "E_EXPOSURES",
-                "there are several darks, and their exposures are unknown",
-                field="exposure",
-                found=", ".join(f"{d.exposure_s} s" for d in darks),
-                fix="Put {exposure} into the file pattern, or keep one dark.",
-            )
-        )
+        raise refusal("darks_unknown", ", ".join(f"{d.exposure_s} s" for d in darks))
     return _as_it_is(darks[0])
 
 

@@ -1,12 +1,18 @@
-"""Several exposures of one scene: the best of them, or all merged into counts a second.
+"""Several exposures of one scene: whether their counts are in the ratio of their times; the best of them, or all merged into counts a second.
 
-Merging weighs each exposure by the inverse of its variance, wᵢ = tᵢ²/(gain·C·tᵢ + read²), with the
-rate C of the round before; what saturates is left out pixel by pixel, and what lies next to it: a dim sensel
-holds some of a bright neighbour's light (0.7 % in a Bayer sensor behind a 550 nm filter) until that one is full, and no more after.
+Linearity: y(g, t) = C(g)·t + offset for groups g of pixels of like brightness, fitted so that Σ(Δy/y)² is least over 5–95 % of
+saturation; what is left, relative, is the deviation. Whether it is the sensor's or that of wrong times is whether it depends on
+the level at one exposure (`find_bend`). Two traps, both met in real series: a group must not be chosen by its own noise, or it
+comes back to the mean in the next exposure, so pixels are ranked by their neighbours of the same colour; and a dim sensel beside a
+bright one holds some of its light (0.7 % in a Bayer sensor behind a 550 nm filter) until that one is full, and no more after.
+
+Merging weighs each exposure by the inverse of its variance, wᵢ = tᵢ²/(gain·C·tᵢ + read²), with the rate C of the round before
+(Granados 2010, doi:10.1109/CVPR.2010.5540208); what saturates is left out pixel by pixel, and what lies next to it.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -15,12 +21,12 @@ import cv2
 import numpy as np
 
 from levkas.calibration.darks import MatchedDark, dark_under
+from levkas.calibration.findings import Finding, refusal
 from levkas.calibration.flatfield import require_dark
-from levkas.calibration.linearity import PERIOD, RECIPROCAL, Linearity, check_linearity
 from levkas.calibration.motion import find_moved_between
 from levkas.calibration.noise_fit import NoiseModel
+from levkas.calibration.record import WithError
 from levkas.calibration.templates import (
-    CalibrationRefused,
     ShotLevels,
     Template,
     as_marks,
@@ -29,9 +35,26 @@ from levkas.calibration.templates import (
     union_of,
 )
 from levkas.core.compiled import njit
-from levkas.core.problems import Problem
 from levkas.core.threads import in_threads
 
+USED = (0.05, 0.95)  # of saturation, as EMVA 1288 has it
+GROUPS, FEWEST = 20, 50  # of pixels of like brightness; pixels of a group
+MANY_ROWS = 600  # of a frame; the rest adds nothing to means that are known to 0.1 %
+RECIPROCAL = 0.01  # rms up to which one exposure may be scaled to the time of another
+CURVED = 0.003  # of the light, relative: reflectance may be off by as much before a curve counts
+SIGMAS = 4.0  # of a bend, or of an offset, to be one
+ALIKE = 1.15  # contrast of the pixels of a group whose mean is a point of a curve
+FEWEST_POINTS, LEAST_SPAN = (
+    16,
+    2.0,
+)  # of a curve; of counts at one exposure: an even white alone shows no bend
+MOST_WEIGHT, OUTLIER = (
+    0.1,
+    4.0,
+)  # of all pixels, of a group; usual deviations from a line, from which on a group moved
+EVEN = 1.5  # of the dimmest of eight neighbours, the brightest: noise of a tenth makes as much
+PERIOD = (2, 2)  # of mosaics, unless declared; plain sensors do not mind
+BLACK_ERROR = 0.5  # counts, of a black level by a series, at most: a quarter of a small read noise
 TOLERATED = 1e-4  # share of clipped pixels that the best exposure may have: hot pixels, a glint
 USABLE = 0.98  # of saturation: beyond it the response bends
 NEARLY, BEYOND = (
@@ -39,28 +62,333 @@ NEARLY, BEYOND = (
     1.1,
 )  # of saturation: shown at most, and predicted, by a sensel that is full before others
 NEXT_TO = np.ones((3, 3), np.uint8)
-ROUNDS = 3
-GROUPS = 24  # of pixels of like rate, whose noise two exposures show
-FEWEST = 200  # pixels of a group: their variance is known to 10 %
-MANY = 500_000  # pixels that are looked at
+ROUNDS = 3  # of a merge: within 1 % of the Cramér–Rao bound over four decades
+OF_NOISE = (
+    24,
+    200,
+    500_000,
+)  # groups whose noise two exposures show; pixels of one; pixels that are looked at
 DIM = 4.0  # times the least variance of a group: brighter ones say little of noise without light
 
 
+# --- linearity ------------------------------------------------------------------------------------
+
+
+class Point(NamedTuple):
+    """Mean counts above dark of a group of pixels at one exposure, s; how many they are, and of which series."""
+
+    group: int
+    time_s: float
+    counts: float
+    pixels: int = 1
+    series: int = 0
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """How well exposures scale.
+
+    `rms` and `worst`, with its sign, are relative deviations from the line, `worst_at_s` and `worst_level` where that is, s and counts
+    above dark; `points` are groups times exposures behind them, 0 where nothing could be compared. `offset` are counts at exposure 0
+    above what was subtracted, with its standard error. `levels` is the light of every exposure over what its time states, shortest first.
+    """
+
+    rms: float
+    worst: float
+    worst_at_s: float
+    offset: float
+    points: int
+    worst_level: float = float("nan")
+    offset_error: float = float("nan")
+    levels: tuple[float, ...] = ()
+
+
+def check_linearity(
+    shots: Sequence[Template],
+    darks: Template | Sequence[Template] | None = None,
+    *,
+    saturation: float,
+    black: float | np.ndarray | None = None,
+    fit_offset: bool = False,
+    period: tuple[int, int] = PERIOD,
+) -> Linearity:
+    """Compare exposures of one still scene, of different known `exposure_s`, over 5 to 95 % of `saturation`, counts.
+
+    Darks and `black` are subtracted as in `darks.match_dark`. An offset common to all is fitted where cameras that clip their darks at 0
+    hide one. A pixel takes part at the exposures at which neither it nor one beside it comes near saturation, predicted from the
+    rates of its neighbours one `period`, (rows, columns), away. Pixels of like range and rate, by the same neighbours, make a group.
+    """
+    points = find_points(shots, darks, saturation=saturation, black=black, period=period)
+    return _fit(points, fit_offset, sorted(shot.exposure_s or 0.0 for shot in shots))
+
+
+def find_points(
+    shots: Sequence[Template],
+    darks: Template | Sequence[Template] | None = None,
+    *,
+    saturation: float,
+    black: float | np.ndarray | None = None,
+    period: tuple[int, int] = PERIOD,
+    contrast: float = np.inf,
+) -> list[Point]:
+    """Return what exposures of one still scene have in common: groups of pixels, and their counts at each.
+
+    Parameters are those of `check_linearity`; `contrast` is that of the pixels of a group, at most: scaling
+    commutes with the mean of any, a curve only with that of pixels that are alike.
+    """
+    timed = sorted(shots, key=lambda shot: shot.exposure_s or 0.0)
+    rows, signal, usable = slice(0, MANY_ROWS), [], []
+    for shot in timed:
+        under = dark_under(shot, darks, black=black).mean
+        signal.append((shot.mean - under).astype(np.float32)[rows])
+        usable.append(~shot.saturated[rows])
+    times = np.array([shot.exposure_s for shot in timed], float)
+    return _points(np.array(signal), np.array(usable), times, saturation, period, contrast)
+
+
+def find_black(
+    shots: Sequence[Template], darks: Sequence[Template], *, saturation: float
+) -> WithError | None:
+    """Return the counts at no time at all by which three exposures or more of a scene lie on a line; None where they are not sure."""
+    if len(shots) < 3:
+        return None
+    found = check_linearity(shots, saturation=saturation, fit_offset=True)
+    highest = float(np.median(darks[0].mean)) if darks else 0.0
+    sure = found.rms <= CURVED and found.offset_error <= BLACK_ERROR
+    if not sure or found.offset > highest + 3 * BLACK_ERROR:
+        return None
+    return WithError(counts=found.offset, error=found.offset_error)
+
+
+class Bend(NamedTuple):
+    """What exposure series show beside a line.
+
+    `size` is by how much light is more than the counts of the highest level say, on the scale of the lowest, relative, with its standard
+    error, infinite where there are too few points. `offset` are counts above dark where there is no light; 0 where not beyond four errors.
+    """
+
+    size: float = 0.0
+    error: float = float("inf")
+    offset: float = 0.0
+    offset_error: float = float("inf")
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the sensor is not linear: by more than 0.3 %, and four standard errors."""
+        return abs(self.size) > max(CURVED, SIGMAS * self.error)
+
+
+def find_bend(points: Sequence[Point], full: float) -> Bend:
+    """Find the bend of a sensor in exposure series, whatever times its exposures really had.
+
+    Points are of one or more series, from `find_points` with the contrast `ALIKE`, groups and series numbered apart; `full` is the full
+    scale above dark, counts. log y = log C(g) + log t + δ(e) − a·y/full + o/y by least squares, of a group g and an exposure e whose light is off by a
+    factor common to all levels: a lamp flickers, a shutter has other times than are stated. Whether δ and o are there is
+    decided by the Bayesian information criterion [schwarz1978]_.
+
+    >>> rows = [Point(g, t, g * t - 0.06 * (g * t) ** 2 / 4000) for g in range(300, 1500, 20) for t in (1.0, 2.0)]
+    >>> bent = find_bend(rows, 4000.0)
+    >>> bent.is_sure, round(bent.size, 3)
+    (True, 0.05)
+    >>> find_bend([p._replace(counts=p.group * (1.2 if p.time_s == 1 else 2.0)) for p in rows], 4000.0).is_sure
+    False
+    """
+    often = Counter(point.group for point in points)
+    points = [point for point in points if often[point.group] >= 2]
+    if len(points) < FEWEST_POINTS:
+        return Bend()
+    named = np.array([(p.group, p.series, p.time_s, p.counts, p.pixels) for p in points], float)
+    group = np.unique(named[:, 0], return_inverse=True)[1]
+    which = np.unique(named[:, 1:3], axis=0, return_inverse=True)[1].ravel()
+    counts, pixels = named[:, 3], named[:, 4]
+    spans = (np.ptp(np.log(counts[which == one])) for one in range(which.max() + 1))
+    if max(spans) < np.log(LEAST_SPAN):
+        return Bend()
+    weight = np.minimum(pixels, MOST_WEIGHT * pixels.sum())
+
+    def rest(values: np.ndarray) -> np.ndarray:
+        return np.asarray(values - (np.bincount(group, values) / np.bincount(group))[group])
+
+    level = rest(np.log(counts) - np.log(named[:, 2]))
+    exposures = range(1, which.max() + 1)
+    factors = [rest((which == one).astype(float)) for one in exposures]
+    bent, shifted = rest(-counts / full), rest(full / counts)
+    left = _without(level, np.stack([bent, *factors, shifted], -1), weight)
+    usual = 1.4826 * float(np.median(np.abs(left)))
+    kept = ~np.isin(group, group[np.abs(left) > max(OUTLIER * usual, CURVED)])
+    root = np.sqrt(weight[kept] / weight[kept].mean())
+    best, bend = np.inf, Bend()
+    for more in ([], [shifted], factors, [*factors, shifted]):
+        design = np.stack([bent, *more], -1)[kept] * root[:, None]
+        freedom = len(design) - len(np.unique(group[kept])) - design.shape[1]
+        if freedom < 1:
+            continue
+        found = np.linalg.lstsq(design, level[kept] * root, rcond=None)[0]
+        square = float(np.sum(np.square(level[kept] * root - design @ found)))
+        error = np.sqrt(np.diag(np.linalg.pinv(design.T @ design)) * square / freedom)
+        criterion = len(design) * np.log(square) + design.shape[1] * np.log(len(design))
+        if criterion < best:
+            highest = float(counts[kept].max()) / full
+            best, bend = criterion, Bend(float(found[0]) * highest, float(error[0]) * highest)
+            if more and more[-1] is shifted and abs(found[-1]) > SIGMAS * error[-1]:
+                bend = bend._replace(
+                    offset=float(found[-1]) * full, offset_error=float(error[-1]) * full
+                )
+    return bend
+
+
+def _without(values: np.ndarray, columns: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return what a fit of least absolute deviations leaves: what moved draws it little."""
+    left = values
+    for _ in range(20):
+        root = np.sqrt(weight / np.maximum(np.abs(left), 1e-4))
+        found = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
+        left = values - columns @ found
+    return np.asarray(left)
+
+
+def require_scaling(found: Linearity, code: str = "not_reciprocal") -> None:
+    """Refuse to scale counts from one exposure to another where they do not scale, E_EXPOSURES, or where nothing could be compared.
+
+    >>> require_scaling(Linearity(0.004, 0.006, 1.0, 0.0, 40))
+    """
+    if not found.points:
+        raise refusal("linearity_unknown")
+    if found.rms > RECIPROCAL:
+        where = (
+            f"worst {found.worst:+.1%} at {found.worst_at_s:g} s and {found.worst_level:.0f} counts"
+        )
+        raise refusal(code, where, found.rms, RECIPROCAL)
+
+
+def doubt_scaling(taken: Sequence[float], other: Sequence[float], same: float) -> list[Finding]:
+    """Report that counts are scaled from the white's times to the object's, s, without a series that shows that they scale."""
+    if not taken or not other:
+        return []
+    pairs = np.broadcast(np.array(taken), np.array(other))
+    if all(abs(mine / its - 1) <= same for mine, its in pairs):
+        return []
+    shown = (
+        " to ".join(f"{t:g}" for t in sorted({min(times), max(times)})) for times in (other, taken)
+    )
+    white, object_ = shown
+    return [Finding("not_scaled", f"the white for {white} s, the object for {object_} s")]
+
+
+def _around(rate: np.ndarray, known: np.ndarray, period: tuple[int, int]) -> np.ndarray:
+    """Return the mean rate of the eight neighbours one period away, without the pixel itself."""
+    rows, columns = period
+    kernel = np.zeros((2 * rows + 1, 2 * columns + 1), np.float32)
+    kernel[::rows, ::columns] = 1
+    kernel[rows, columns] = 0
+    total, count = (
+        cv2.filter2D(
+            np.ascontiguousarray(a, np.float32), -1, kernel, borderType=cv2.BORDER_CONSTANT
+        )
+        for a in (np.where(known, rate, 0), known)
+    )
+    return (total / np.maximum(count, 1)).reshape(rate.shape)
+
+
+def _points(
+    signal: np.ndarray,
+    usable: np.ndarray,
+    times: np.ndarray,
+    saturation: float,
+    period: tuple[int, int],
+    contrast: float,
+) -> list[Point]:
+    """Return the points of groups that are in range at an exposure."""
+    # Codes of 12 bits in files of 16 use little of what could be: the largest is their scale.
+    largest = float(signal.max(initial=0.0, where=usable))
+    low = USED[0] * min(saturation, largest)
+    high = USED[1] * saturation
+    fits = usable & (signal < high)
+    longest = len(times) - 1 - np.argmax(fits[::-1], 0)
+    known = np.asarray(fits.any(0))
+    rate = np.take_along_axis(signal, longest[None], 0)[0] / times[longest]
+    key = np.where(known, _around(rate, known, period), 0).astype(np.float32)
+    # Where even the shortest exposure is full nothing is predicted but that it is.
+    bright = np.where(known, np.maximum(key, 0), np.float32(np.inf))
+    brightest = cv2.dilate(bright, np.ones((3, 3), np.uint8)).reshape(bright.shape)
+    clean = (brightest * times.reshape(-1, *[1] * key.ndim) < high).sum(0)
+    whole = [usable[:n].all(0) for n in range(len(times) + 1)]
+    rows: list[Point] = []
+    for n in range(2, len(times) + 1):
+        pixels = np.flatnonzero((clean == n) & whole[n] & (key > 0))
+        pixels = pixels[np.argsort(key.flat[pixels], kind="stable")]
+        parts = np.array_split(pixels, max(1, round(GROUPS * len(pixels) / key.size)))
+        if np.isfinite(contrast):
+            even = pixels[_is_even(rate, period).flat[pixels]]
+            steps = np.floor(np.log(key.flat[even]) / np.log(contrast))
+            parts = np.split(even, np.flatnonzero(np.diff(steps)) + 1)
+        for members in (part for part in parts if len(part) >= FEWEST):
+            group = len(rows)
+            means = _middle_means(signal[:n].reshape(n, -1)[:, members])
+            rows += [
+                Point(group, float(t), float(mean), len(members))
+                for t, mean in zip(times, means, strict=False)
+                if low <= mean <= high
+            ]
+    return rows
+
+
+def _is_even(rate: np.ndarray, period: tuple[int, int]) -> np.ndarray:
+    """Return where the eight neighbours one period away are alike, but for noise: no edge."""
+    rows, columns = period
+    kernel = np.zeros((2 * rows + 1, 2 * columns + 1), np.uint8)
+    kernel[::rows, ::columns] = 1
+    kernel[rows, columns] = 0
+    plane = np.ascontiguousarray(rate, np.float32)
+    highest, lowest = (f(plane, kernel).reshape(rate.shape) for f in (cv2.dilate, cv2.erode))
+    return np.asarray(highest < EVEN * lowest)
+
+
+def _middle_means(values: np.ndarray) -> np.ndarray:
+    """Return the means without the tenth at either end, exposure by exposure: what moved is left out.
+
+    Scaling commutes with it, as with the mean itself; a median would be one code of coarse ones.
+    """
+    ordered = np.sort(values, axis=1)
+    cut = values.shape[1] // 10
+    return np.asarray(ordered[:, cut : values.shape[1] - cut].mean(1, dtype=float))
+
+
+def _fit(rows: list[Point], fit_offset: bool, exposures: Sequence[float] = ()) -> Linearity:
+    groups = [g for g, *_ in rows]
+    rows = [row for row in rows if groups.count(row[0]) >= 2]
+    if not rows:
+        return Linearity(np.nan, np.nan, np.nan, 0.0, 0)
+    found, which = np.unique([g for g, *_ in rows], return_inverse=True)
+    times, signal = (np.array([row[i] for row in rows]) for i in (1, 2))
+    design = np.zeros((len(rows), len(found) + int(fit_offset)))
+    design[np.arange(len(rows)), which] = times
+    design[:, len(found) :] = 1
+    solved = np.linalg.lstsq(design / signal[:, None], np.ones(len(rows)), rcond=None)[0]
+    miss = signal / (design @ solved) - 1
+    worst = int(np.abs(miss).argmax())
+    offset = float(solved[-1]) if fit_offset else 0.0
+    rms = float(np.sqrt(np.mean(miss**2)))
+    error = float("nan")
+    if fit_offset:
+        freedom = max(len(rows) - design.shape[1], 1)
+        scaled = design / signal[:, None]
+        spread = np.linalg.pinv(scaled.T @ scaled)[-1, -1] * np.sum(miss**2) / freedom
+        error = float(np.sqrt(spread))
+    at = float(times[worst]), offset, len(rows), float(signal[worst])
+    # By their counts: an offset of all counts is no change of the light.
+    of_times = [(signal[times == time], miss[times == time]) for time in exposures]
+    levels = tuple(1 + float(own @ off) / max(float(own.sum()), 1.0) for own, off in of_times)
+    return Linearity(rms, float(miss[worst]), *at, error, levels)
+
+
+# --- one of several, or all ----------------------------------------------------------------------
+
+
 def best_exposure(shots: Sequence[Template]) -> Template:
-    """Return the longest exposure that is not saturated.
+    """Return the longest exposure that is not saturated, but for a share of `TOLERATED`, else the one with the fewest saturated pixels.
 
     Raises CalibrationRefused, E_NO_FRAMES without a shot, E_EXPOSURES where an exposure is unknown.
-
-    Parameters
-    ----------
-    shots : sequence of Template
-        One scene, one band; each with its `exposure_s`.
-
-    Returns
-    -------
-    shot : Template
-        One of `shots`; a share of `TOLERATED` saturated pixels does not count. Where all are saturated, the one with the fewest saturated pixels; its
-        flags show where.
     """
     timed = _in_order(shots)
     shares = [float(np.mean(shot.saturated)) for shot in timed]
@@ -72,17 +400,9 @@ def best_exposure(shots: Sequence[Template]) -> Template:
 class Merged:
     """An exposure series in one.
 
-    Parameters
-    ----------
-    template : Template
-        Counts a second, `above_dark` (`exposure_s` 1.0), with the variance of the merge where the
-        noise is known. Saturated: no exposure was usable there, and the shortest was taken.
-        Black: the longest usable one was clipped at black.
-    linearity : Linearity
-        How well the exposures scaled; `template.shots` has the light of each over what its time states.
-    moved : ndarray of bool, shape of the frames, or None
-        Where the exposures disagree by more than their noise and non-linearity explain; None where
-        the noise is not known.
+    `template` has counts a second, `above_dark` (`exposure_s` 1.0), with the variance of the merge where the noise is known; saturated
+    where no exposure was usable, and the shortest was taken; black where the longest usable one was clipped. `moved` is where the
+    exposures disagree by more than their noise and non-linearity explain; None where the noise is not known.
     """
 
     template: Template
@@ -97,56 +417,37 @@ def merge_exposures(
     saturation: float,
     black: float | np.ndarray | None = None,
     noise: NoiseModel | None = None,
-    fit_offset: bool | None = None,
     period: tuple[int, int] = PERIOD,
 ) -> Merged:
-    """Merge exposures of one still scene into counts a second.
+    """Merge two exposures or more of one still scene into counts a second; parameters are those of `check_linearity`.
 
     Raises CalibrationRefused, E_EXPOSURES with fewer than two exposures, unknown ones, or ones that do not scale.
 
-    Parameters
-    ----------
-    shots : sequence of Template
-        Of different `exposure_s`; two or more.
-    darks, black
-        As in `darks.match_dark`.
-    saturation : float
-        Counts; beyond 98 % of it a value does not count.
-    noise : NoiseModel, optional
-        Of one shot. None: weights are those of shot noise alone, and no variance comes out.
-    fit_offset : bool, optional
-        Fit and subtract an offset common to all exposures. None: only where the darks were
-        clipped at black over more than half of their pixels, and so say little about it.
-    period : (rows, columns)
-        Of a mosaic's pattern.
+    Beyond 98 % of `saturation` a value does not count; without the `noise` of one shot weights are those of shot noise alone, and no
+    variance comes out. An offset common to all is fitted and subtracted where the darks were clipped at black over more than half
+    of their pixels, and so say little about it. Three rounds from rate 0. PRNU stays out: it is the same in every exposure.
+    An exposure counts next to sensels that are full in it only where no other does.
 
-    Notes
-    -----
-    Three rounds from rate 0, [mirhashemi2019]_'s noise model in counts: within 1 % of the
-    Cramér–Rao bound over four decades. PRNU stays out: it is the same in every exposure. An exposure
-    counts next to sensels that are full in it only where no other does.
-
-    Examples
-    --------
     >>> clear = np.zeros((1, 1), bool)
     >>> shots = [Template(np.full((1, 1), 100.0 * t, "f4"), None, 1, clear, clear, t) for t in (1, 4)]
     >>> merge_exposures(shots, saturation=4095).template.mean.tolist()
     [[100.0]]
     """
     timed = _in_order(shots)
-    _check_series(timed)
-    if fit_offset is None:
-        offered = [darks] if isinstance(darks, Template) else list(darks or ())
-        fit_offset = bool(offered) and all(np.mean(dark.black) > 0.5 for dark in offered)
-
+    shapes, times = {shot.mean.shape for shot in timed}, {shot.exposure_s for shot in timed}
+    if len(shapes) > 1 or not len(times) == len(timed) >= 2:
+        listed = ", ".join(f"{shot.exposure_s:g} s {shot.mean.shape}" for shot in timed)
+        raise refusal("not_a_series", listed)
+    offered = [darks] if isinstance(darks, Template) else list(darks or ())
+    fit_offset = hides_offset(offered)
     unders = [dark_under(shot, darks, black=black) for shot in timed]
     for shot, under in zip(timed, unders, strict=True):
         require_dark(shot, under, noise)
     scaling = check_linearity(
         timed, darks, saturation=saturation, black=black, fit_offset=fit_offset, period=period
     )
-    if scaling.points and scaling.rms > RECIPROCAL:
-        raise CalibrationRefused(_does_not_scale(scaling))
+    if scaling.points:
+        require_scaling(scaling, "not_linear")
     levels = [under.mean + np.float32(scaling.offset) for under in unders]
     early = _full_early(timed, levels, saturation)
     full = [
@@ -172,40 +473,24 @@ def merge_exposures(
     return Merged(template, scaling, moved)
 
 
+def hides_offset(darks: Sequence[Template]) -> bool:
+    """Whether darks were clipped at black over more than half of their pixels: the level of such is fitted to the series itself."""
+    return bool(darks) and all(np.mean(dark.black) > 0.5 for dark in darks)
+
+
 def read_variance_between(
     timed: Sequence[Template],
     levels: Sequence[np.ndarray],
     left_out: Sequence[np.ndarray],
     gain: float,
 ) -> tuple[float, float]:
-    """Estimate the noise without light from what the shortest and the longest exposure differ by.
+    """Estimate the noise without light of one shot, counts², from what the shortest and the longest exposure differ by, and the square of what `levels`, counts without light, miss; 0 where too few pixels show both.
 
-    Parameters
-    ----------
-    timed : sequence of Template
-        Two exposures or more of one scene, shortest first.
-    levels : sequence of ndarray that broadcast to them
-        Counts without light of each.
-    left_out : sequence of ndarray of bool
-        What takes no part in each.
-    gain : float
-        Counts per photo-electron.
-
-    Returns
-    -------
-    read_variance, offset : float, counts²
-        Of one shot; and the square of what the levels miss. Both 0 where too few pixels show both
-        exposures.
-
-    Notes
-    -----
     With ρ = t_s/t_l, the difference S − ρL has variance read²(1 + ρ²) + gain·S(1 + ρ), and is not
     correlated with ρS + L where read noise rules: by that pixels are sorted into groups. A group's
     variance leaves out what chance does not explain, and of the dim groups the median counts, so that
     what moved does not.
 
-    Examples
-    --------
     >>> rng = np.random.default_rng(1)
     >>> shots = [Template(rng.normal(100, 3, (99, 99)), None, 1, *2 * [np.zeros((99, 99), bool)], t)
     ...          for t in (1.0, 4.0)]
@@ -215,7 +500,7 @@ def read_variance_between(
     """
     short, long = timed[0], timed[-1]
     ratio = (short.exposure_s or 0.0) / (long.exposure_s or 1.0)
-    step = max(1, short.mean.size // MANY)
+    step = max(1, short.mean.size // OF_NOISE[2])
     good = ~(short.black | long.black | left_out[0] | left_out[-1]).ravel()[::step]
     lit = [
         (shot.mean - level).ravel()[::step][good].astype(float)
@@ -223,10 +508,10 @@ def read_variance_between(
     ]
     order = np.argsort(ratio * lit[0] + lit[1], kind="stable")
     apart, dim = (lit[0] - ratio * lit[1])[order], (ratio * lit[1])[order]
-    parts = np.array_split(np.arange(len(order)), min(GROUPS, len(order) // FEWEST) or 1)
+    parts = np.array_split(np.arange(len(order)), min(OF_NOISE[0], len(order) // OF_NOISE[1]) or 1)
     found = []
     for part in parts:
-        if len(part) < FEWEST:
+        if len(part) < OF_NOISE[1]:
             return 0.0, 0.0
         miss, variance = _middle(apart[part])
         light = gain * max(float(dim[part].mean()), 0.0)
@@ -337,49 +622,11 @@ def _light_of_exposures(timed: Sequence[Template], scaling: Linearity) -> ShotLe
     return ShotLevels(np.tile(np.array(scaling.levels)[:, None], channels), np.zeros(channels))
 
 
-def _check_series(timed: list[Template]) -> None:
-    shapes, times = {shot.mean.shape for shot in timed}, {shot.exposure_s for shot in timed}
-    if len(shapes) == 1 and len(times) == len(timed) >= 2:
-        return
-    raise CalibrationRefused(
-        Problem(
-            "E_EXPOSURES",
-            "these exposures cannot be merged",
-            field="exposures",
-            found=", ".join(f"{shot.exposure_s:g} s {shot.mean.shape}" for shot in timed),
-            expected="two or more different exposures of one size",
-            fix='Average shots of equal exposure first, or set exposures = "one".',
-        )
-    )
-
-
-def _does_not_scale(scaling: Linearity) -> Problem:
-    return Problem(
-        "E_EXPOSURES",
-        "the counts are not proportional to the exposure",
-        field="exposures",
-        found=f"rms deviation {scaling.rms:.1%}, worst {scaling.worst:+.1%} "
-        f"at {scaling.worst_at_s:g} s and {scaling.worst_level:.0f} counts",
-        expected=f"at most {RECIPROCAL:.1%} rms",
-        fix="Check exposure times and black level, and leave out the frames of a wrong time. Of a sensor that is not linear "
-        'set exposures = "best", and capture the white at the exposures of the object.',
-    )
-
-
 def _in_order(shots: Sequence[Template]) -> list[Template]:
     if not shots:
-        raise CalibrationRefused(Problem("E_NO_FRAMES", "there is no frame to choose"))
+        raise refusal("no_frames")
     if any(not shot.exposure_s for shot in shots):
-        raise CalibrationRefused(
-            Problem(
-                "E_EXPOSURES",
-                "an exposure is unknown",
-                field="exposure",
-                found=", ".join(f"{shot.exposure_s}" for shot in shots),
-                expected="seconds, > 0, of every frame",
-                fix="Put {exposure} into the file pattern.",
-            )
-        )
+        raise refusal("exposure_unknown", ", ".join(f"{shot.exposure_s}" for shot in shots))
     return sorted(shots, key=lambda shot: shot.exposure_s or 0.0)
 
 

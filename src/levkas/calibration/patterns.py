@@ -11,7 +11,7 @@ from math import isqrt
 
 import numpy as np
 
-from levkas.calibration.templates import CalibrationRefused
+from levkas.calibration.findings import CalibrationRefused
 from levkas.core.problems import Problem
 
 Pattern = tuple[tuple[str, ...], ...]

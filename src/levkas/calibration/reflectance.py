@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.clipped_darks import black_clip_of
-from levkas.calibration.differing_shots import require_agreement
-from levkas.calibration.drift import average_steady
+from levkas.calibration.lamp import average_steady, require_agreement
 from levkas.calibration.patterns import as_pattern
 from levkas.calibration.templates import CalibrationRefused, Template, close_gaps, gaps_of
 from levkas.core.cube import Band, Cube, Flag, band_labels
@@ -97,7 +96,7 @@ def calibrate(
     >>> cube.quantity, cube.values.shape, round(float(cube.values[0, 0, 0]), 3)
     ('reflectance', (4, 6, 1), 0.49)
     """
-    from levkas.calibration.code_spacing import find_step
+    from levkas.calibration.codes import find_step
     from levkas.calibration.defects import find_defects, replace_defects
     from levkas.calibration.flatfield import flat_field
     from levkas.calibration.mosaic import demosaic
@@ -204,7 +203,7 @@ def _full_scale(
     stated: float | None,
 ) -> float | None:
     """Return the counts at which the frames pile up, where these are below what is stated, else that."""
-    from levkas.calibration.full_scale import SceneShots, find_full_scale
+    from levkas.calibration.codes import SceneShots, find_full_scale
     from levkas.calibration.patterns import channel_table, thin_periods
 
     def planes(frames: Frames | float | None) -> list[np.ndarray]:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
-from levkas.core.problems import Problem, Refused
+from levkas.calibration.findings import CalibrationRefused
+from levkas.core.problems import Problem
 from levkas.core.threads import in_threads
 
 if TYPE_CHECKING:
@@ -21,10 +22,6 @@ if TYPE_CHECKING:
 
 MANY_PIXELS = 200_000  # of a frame whose median is asked for
 MOST_SHOTS = 65536  # beyond this n² · 65535² no longer fits 64 bits
-
-
-class CalibrationRefused(Refused):
-    """Frames from which no trustworthy values can be had."""
 
 
 class DarkFit(NamedTuple):
@@ -65,7 +62,7 @@ class ShotLevels:
     apart : float
         Of a white: largest relative deviation of a part of a shot from the others, 0 where none stands out of noise.
     unlike : tuple of (index, what, by how much)
-        Of an object: shots that differ from the first by more than noise and lamp, as `differing_shots.difference_between` has it.
+        Of an object: shots that differ from the first by more than noise and lamp, as `sight.difference_between` has it.
     """
 
     levels: np.ndarray
@@ -389,24 +386,6 @@ def union_of(*masks: np.ndarray | None) -> np.ndarray | None:
         if mask is not None:
             found = mask if found is None else found | mask
     return found
-
-
-def describe_gaps(lost: np.ndarray, label: str = "") -> str:
-    """Report how many values were lost.
-
-    >>> describe_gaps(np.array([True, False, False, False]), "550 nm")
-    '550 nm: 1 value (25 %) is not a finite number: flagged as defect'
-    """
-    return describe_lost(int(np.count_nonzero(lost)), lost.size, label)
-
-
-def describe_lost(count: int, total: int, label: str = "") -> str:
-    """Report that `count` values of `total` were lost."""
-    value = f"{f'{label}: ' if label else ''}{count} value"
-    share = f"({100 * count / total:.2g} %)"
-    if count == 1:
-        return f"{value} {share} is not a finite number: flagged as defect"
-    return f"{value}s {share} are not finite numbers: flagged as defects"
 
 
 def _filled(values: np.ndarray, lost: np.ndarray) -> np.ndarray:

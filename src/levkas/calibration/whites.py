@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from levkas.calibration.findings import CalibrationRefused, Finding, refusal
 from levkas.calibration.patterns import channel_names, channel_table
-from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.core.problems import Problem
+from levkas.calibration.templates import Template
 
 LIT = 0.7
 """Share of a channel above the dark that light makes at least: noise alone makes a half, and paint of half the noise 0.69."""
@@ -78,15 +78,8 @@ def reflectance_table(board: WhiteBoard, shot: Template) -> np.ndarray:
         places = np.arange(1 if shot.mean.ndim == 2 else shot.mean.shape[2])[None]
     wanted = int(places.max()) + 1
     if known.size not in (1, wanted) or not np.all(np.isfinite(known) & (known > 0)):
-        raise CalibrationRefused(
-            Problem(
-                "E_VALUE",
-                "the reflectance of the white does not match the bands",
-                field="white.reflectance",
-                found=f"{known.size} numbers, {np.nanmin(known):g} to {np.nanmax(known):g}",
-                expected=f"one positive number, or {wanted}",
-            )
-        )
+        found = f"{known.size} numbers, {np.nanmin(known):g} to {np.nanmax(known):g}"
+        raise refusal("board_differs", found, limit=wanted)
     return np.ascontiguousarray(np.broadcast_to(known.ravel(), wanted)[places])
 
 
@@ -111,10 +104,25 @@ def check_white(
             dark[name] = lit, under
         elif np.mean(clipped) > MOST:
             saturated[name] = lit, clipped
-    problems = [_too_dark(dark, len(channels))] if dark else []
-    problems += [_saturated(saturated, len(channels))] if saturated else []
-    if problems:
-        raise CalibrationRefused(*problems)
+    findings = []
+    if dark:
+        lit, under = next(iter(dark.values()))
+        level_lit, level_under = float(np.median(lit)), float(np.median(under))
+        swapped = len(dark) == len(channels) and level_under > 2 * level_lit
+        code, named = (
+            "white_swapped" if swapped else "white_dark",
+            _named(list(dark), len(channels)),
+        )
+        findings.append(Finding(code, named, level_lit, level_under))
+    if saturated:
+        lit, clipped = next(iter(saturated.values()))
+        lowest, highest = np.percentile(lit[clipped], (1, 99))
+        # What is clipped has one code.
+        code = "white_beyond" if highest > BEYOND * lowest else "white_saturated"
+        share, named = float(np.mean(clipped)), _named(list(saturated), len(channels))
+        findings.append(Finding(code, named, share, MOST))
+    if findings:
+        raise CalibrationRefused(*(one.problem() for one in findings))
 
 
 def thinning(size: tuple[int, ...]) -> int:
@@ -124,30 +132,6 @@ def thinning(size: tuple[int, ...]) -> int:
     4
     """
     return max(1, int(np.sqrt(size[0] * size[1] / SAMPLE)))
-
-
-def _too_dark(found: Mapping[str, tuple[np.ndarray, np.ndarray]], channels: int) -> Problem:
-    """Return the problem of channels whose white is not above dark, by name."""
-    lit, under = next(iter(found.values()))
-    level, every = np.median(lit), ""
-    title = "the white is darker than the dark"
-    fix = "Check whether dark and white are swapped, or the lamp was off."
-    if len(found) == channels and np.median(under) > 2 * level:
-        fix = "Dark and white appear to be swapped: exchange their names in campaign.toml."
-    elif _is_unlit(lit - under):
-        title = "the white has no light"
-        fix = "Was the lamp off, a lens cap on or the shutter closed, or are these darks? Capture the white again, or correct the names."
-    if lit.min() == lit.max():
-        every = f", {level:g} in every pixel of the white"
-        fix += " One value in every pixel is no frame of a sensor: export it again."
-    return Problem(
-        "E_WHITE_DARK",
-        f"{title}{_named(list(found), channels)}",
-        found=f"median white {level:g}, median dark {np.median(under):g} counts, "
-        f"white not above dark at {np.mean(lit <= under):.0%} of the pixels{every}",
-        expected="white above dark",
-        fix=fix,
-    )
 
 
 def _is_unlit(light: np.ndarray) -> bool:
@@ -160,24 +144,6 @@ def _is_unlit(light: np.ndarray) -> bool:
     apart = np.abs(light)
     above = float(np.mean(light > 0) + np.mean(light == 0) / 2)
     return 1 - LIT < above < LIT and bool(np.quantile(apart, 0.99) <= GAUSSIAN * np.median(apart))
-
-
-def _saturated(found: Mapping[str, tuple[np.ndarray, np.ndarray]], channels: int) -> Problem:
-    """Return the problem of channels whose white is at or above saturation, by name."""
-    lit, clipped = next(iter(found.values()))
-    lowest, highest = np.percentile(lit[clipped], (1, 99))
-    fix = "Capture the white with a shorter exposure."
-    beyond = ""
-    if highest > BEYOND * lowest:  # what is clipped has one code
-        beyond = f", with codes from {lowest:.0f} to {highest:.0f}"
-        fix = "Its codes go on above the saturation: correct `bits` or `saturation`, or capture the white in the object's mode."
-    return Problem(
-        "E_WHITE_SATURATED",
-        f"the white{_named(list(found), channels)} is saturated",
-        found=f"{np.mean(clipped):.0%} of its pixels{beyond}",
-        expected=f"less than {MOST:.0%}",
-        fix=fix,
-    )
 
 
 def _named(names: Sequence[str], channels: int) -> str:

@@ -18,7 +18,7 @@ class CameraKind:
         Where its bands are kept apart: in the ``"pattern"`` of a mosaic, in one ``"file"`` that holds them all, in
         ``"files"``, one each, or by ``"sensors"`` behind one lens, of which each may have a pattern.
     develop : str
-        ``MODULE:FUNCTION`` that makes calibrated values of the frames of a sensor (`SensorContext` → cube and notes); nothing of
+        ``MODULE:FUNCTION`` that makes calibrated values of the frames of a sensor (`SensorCapture` → `SensorCube`); nothing of
         scans, which `levkas.stages.scans` calibrates line by line.
     is_calibrated : bool
         Whether its frames are raw: with black level, noise, dark and white.

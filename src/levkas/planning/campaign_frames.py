@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.calibration.full_scale import FullScale, SceneShots, find_full_scale, stated_full_scale
+from levkas.calibration.codes import FullScale, SceneShots, find_full_scale, stated_full_scale
 from levkas.calibration.patterns import channel_table, thin_periods
 from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.campaign.discovery.file_index import FolderListings, too_deep, walk_folders

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from levkas.calibration.full_scale import FullScale
+from levkas.calibration.codes import FullScale
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
 from levkas.core.problems import Problem, Refused

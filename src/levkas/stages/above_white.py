@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from levkas.calibration.templates import CalibrationRefused
+from levkas.calibration.findings import Finding
 from levkas.calibration.whites import LIT
 from levkas.core.compiled import njit
 from levkas.core.cube import Cube, Flag
-from levkas.core.problems import Problem
 from levkas.core.threads import in_threads
 
 ABOVE = 1.02
@@ -33,8 +32,7 @@ ROW, ROW_SURELY = 16, 1.25
 deviations, 3.5 where neighbours were interpolated from one another. Twice as many values are seldom of one paint."""
 ROW_BELOW = 0.0002
 """Reflectance by which such a mean may lie below zero: a tenth of the darkest paint, 0.002."""
-COUNTS, LIT_ROW = 10, 8
-"""Rows of what is counted of each band, and the row of values above the dark."""
+COUNTS = 10  # rows of what is counted of each band
 MICRO = 1e-6
 """Reflectance in which sums are counted, so that they are the same in whatever parts."""
 
@@ -118,75 +116,32 @@ def _count_dark_rows(total, spread, known, counts):  # type: ignore[no-untyped-d
         total[b], spread[b], known[b] = 0.0, 0.0, 0
 
 
-def require_light(counts: np.ndarray, labels: Sequence[str]) -> None:
-    """Refuse an object that is as dark as its dark in all of its bands.
-
-    Raises CalibrationRefused, ``E_NO_LIGHT``.
-    """
-    if (unlit := _unlit(counts)).size and unlit.size == len(labels):
-        least = 100 * (counts[LIT_ROW] / np.maximum(counts[3], 1)).max()
-        raise CalibrationRefused(
-            Problem(
-                "E_NO_LIGHT",
-                "the object has no light",
-                found=f"no more than {least:.0f} % of the pixels of any band above the dark, as noise alone gives",
-                expected="frames that the lamp lit",
-                fix="Was a lens cap on, the shutter closed or the lamp off, or are these darks? Capture the object again, or "
-                "correct the names.",
-            )
-        )
-
-
-def _unlit(counts: np.ndarray) -> np.ndarray:
-    """Return the numbers of the bands that have no light."""
-    counted, lit, bright = counts[3], counts[LIT_ROW], counts[LIT_ROW + 1]
-    return np.flatnonzero((counted > 0) & (lit < LIT * counted) & (bright < FEW_BRIGHT * counted))
-
-
-def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
-    """Report in which bands more than a few per cent are brighter than the white, or darker than the dark; nothing where none is.
+def findings_of_counts(counts: np.ndarray, labels: Sequence[str]) -> Iterator[Finding]:
+    """Yield in which bands more than a few per cent are brighter than the white, darker than the dark, or without light; of all that is refused.
 
     >>> counts = [[9, 1], [100, 100], [9, 1], [100, 100], *[[0, 0]] * 4, [99, 99], [99, 99]]
-    >>> describe_above(np.array(counts), ["500 nm", "600 nm"])[0][:47]
-    '9 % of the object is brighter than a perfect wh'
+    >>> [(one.code, one.subject) for one in findings_of_counts(np.array(counts), ["500 nm", "600 nm"])]
+    [('above_white', '500 nm (1 of 2 bands)')]
     """
-    above, counted, above_with_glare, counted_with_glare, below, rows, rows_below, amounts = counts[
-        :8
-    ]
-    shares, least = above / np.maximum(counted, 1), FEW
-    whole = above_with_glare / np.maximum(counted_with_glare, 1)
-    if (whole > MUCH).any():
-        shares, least = whole, MUCH
-    dark = np.maximum(below / np.maximum(counted_with_glare, 1), rows_below / np.maximum(rows, 1))
-    notes = []
-    if (odd := _worst(shares, shares > least)).size:
-        notes.append(
-            f"{100 * shares[odd[0]]:.3g} % of the object is brighter than a perfect white in {_names(odd, labels)}: "
-            "check that white and object had one light, exposure and setting"
-        )
-    if (odd := _worst(dark, dark > FEW_BELOW)).size:
-        by = ""
-        if (lying := int(rows_below[odd].sum())) > 0:
-            by = f", on the mean by a reflectance of {amounts[odd].sum() * MICRO / lying:.2g}"
-        notes.append(
-            f"{100 * dark[odd[0]]:.3g} % of the object is darker than its dark by more than noise in {_names(odd, labels)}{by}: the "
-            "dark was warmer or longer than the object, or saw light. Dark paint is too dark by as much or more; capture darks beside the "
-            "object"
-        )
-    if (odd := _unlit(counts)).size:
-        notes.append(
-            f"the object has no light in {_names(odd, labels)}, nothing above its dark but noise: the exposure was too short, or "
-            "the shutter or a filter closed"
-        )
-    return notes
-
-
-def _worst(shares: np.ndarray, odd: np.ndarray) -> np.ndarray:
-    """Return the numbers of the bands that are odd, the largest share first."""
-    order = np.argsort(-shares, kind="stable")
-    return np.asarray(order[odd[order]])
-
-
-def _names(odd: np.ndarray, labels: Sequence[str]) -> str:
-    names = ", ".join(labels[i] for i in odd[:NAMED]) + (" …" if len(odd) > NAMED else "")
-    return f"{names} ({len(odd)} of {len(labels)} bands)"
+    above, beside, above_in_all, counted, below, rows, rows_below, _, lit, bright = counts
+    every = np.maximum(counted, 1)
+    unlit = (counted > 0) & (lit < LIT * counted) & (bright < FEW_BRIGHT * counted)
+    if unlit.size and unlit.all():
+        yield Finding("object_dark", number=float((lit / every).max()))
+        return
+    shares, least = above / np.maximum(beside, 1), FEW
+    if (above_in_all / every > MUCH).any():
+        shares, least = above_in_all / every, MUCH
+    dark = np.maximum(below / every, rows_below / np.maximum(rows, 1))
+    for code, sizes, odd in (
+        ("above_white", shares, shares > least),
+        ("below_dark", dark, dark > FEW_BELOW),
+        ("bands_dark", 1 - lit / every, unlit),
+    ):
+        worst = np.argsort(-sizes, kind="stable")
+        if (worst := worst[odd[worst]]).size:
+            names = ", ".join(labels[i] for i in worst[:NAMED]) + (
+                " …" if len(worst) > NAMED else ""
+            )
+            subject = f"{names} ({len(worst)} of {len(labels)} bands)"
+            yield Finding(code, subject, float(sizes[worst[0]]))

@@ -13,10 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.chart_light import CHART_WHITE
-from levkas.calibration.drift import LAMP
 from levkas.calibration.error_sources import ErrorSource
-from levkas.calibration.sensor_context import CLIPPED_DARKS, STRAIGHTNESS
-from levkas.stages.capture_statistics import BLACK_WANDER, NOISE, ROUNDING, STRAYED, VIEW
 from levkas.stages.spectra import levels_of_board, read_board_uncertainty
 
 if TYPE_CHECKING:
@@ -34,7 +31,7 @@ ADVICE = {
     WHITE: "the standard uncertainty of its certificate: `uncertainty` of `targets.white`, or a third column of its CSV",
     LAMP_ROW: "two shots or more of the white before the object and after it",
     BLACK_ROW: "two darks or more, before the object and after it",
-    CLIPPED_DARKS: "darks that are not clipped at zero: raise the camera's black level (offset)",
+    "clipped_darks": "darks that are not clipped at zero: raise the camera's black level (offset)",
     LINEARITY: "frames of the white at three exposures or more, or declare `uncertainty.linearity` of the camera",
     STRAY: "a chart with black patches or a light trap (`targets.traps`), or declare `uncertainty.stray_light` of the camera",
     WAVELENGTH: "a wavelength standard, or declare `uncertainty.wavelength_nm` of the camera",
@@ -69,7 +66,7 @@ def budget_of(
     linearity = {
         band.label: float(error)
         for sensor in capture.sensors
-        if (error := measured.get(sensor.name, {}).get(STRAIGHTNESS)) is not None
+        if (error := measured.get(sensor.name, {}).get("straightness")) is not None
         for band in sensor.bands
     }
     bent = levels_of_board(campaign, capture) if has_white else {}
@@ -79,7 +76,14 @@ def budget_of(
         *_white(campaign, capture, measured),
         *_light(bands, measured, camera.traits.bands_in != "files", one_sensor),
         _of_camera(LINEARITY, "relative", bands, declared.linearity, linearity, bent, one_sensor),
-        _of_camera(STRAY, "reflectance", bands, declared.stray_light, strays, _all(measured, VIEW)),
+        _of_camera(
+            STRAY,
+            "reflectance",
+            bands,
+            declared.stray_light,
+            strays,
+            _all(measured, "mean_of_view"),
+        ),
         # One prism disperses all bands of a scanner; filters are made one by one.
         _of_camera(
             *(WAVELENGTH, "nm", known_nm, declared.wavelength_nm, {}, {}),
@@ -106,10 +110,10 @@ def _all(measured: Measured, key: str) -> dict[str, Any]:
 def _noise(bands: Sequence[Band], measured: Measured) -> Iterator[ErrorSource]:
     """Yield what the published sigma of pixels is made of, where that is known."""
     shares: dict[str, dict[str, float]] = {}
-    for label, own in _all(measured, NOISE).items():
+    for label, own in _all(measured, "noise_shares").items():
         for name, size in own.items():
             shares.setdefault(name, {})[label] = size
-    steps = {label: step / 12**0.5 for label, step in _all(measured, ROUNDING).items() if step}
+    steps = {label: step / 12**0.5 for label, step in _all(measured, "rounding").items() if step}
     labels = {band.label for band in bands}
     for name, size in (shares | {"code spacing": steps}).items():
         own = {label: value for label, value in size.items() if label in labels}
@@ -140,7 +144,7 @@ def _light(
     Bands that are exposed at once share the lamp; those of a tunable filter do not see it at one time. Each sensor has a black level
     of its own.
     """
-    found = _all(measured, LAMP)
+    found = _all(measured, "lamp")
     lamp = {
         label: float(one["sigma"] or 0.0)
         for label, one in found.items()
@@ -149,8 +153,8 @@ def _light(
     black = {
         b: float(one["black_sigma"] or 0.0) for b, one in found.items() if one["black"] is not None
     }
-    black |= _all(measured, BLACK_WANDER)
-    clipped = any(of.get(CLIPPED_DARKS) for of in measured.values())
+    black |= _all(measured, "black_wander")
+    clipped = any(of.get("clipped_darks") for of in measured.values())
     for name, unit, sizes, all_bands, advice in (
         (LAMP_ROW, "relative", lamp, at_once, LAMP_ROW),
         (
@@ -158,7 +162,7 @@ def _light(
             "reflectance",
             black,
             at_once and one_sensor,
-            CLIPPED_DARKS if clipped else BLACK_ROW,
+            "clipped_darks" if clipped else BLACK_ROW,
         ),
     ):
         row = ErrorSource(name, unit, sizes, "frame", all_bands, "measured" if sizes else "unknown")
@@ -191,7 +195,7 @@ def _stray_light(
 
     Of what is declared and what is measured the smaller counts, as long as they do not contradict each other.
     """
-    found = [one for one in (strayed, *(of.get(STRAYED) for of in measured.values())) if one]
+    found = [one for one in (strayed, *(of.get("stray_light") for of in measured.values())) if one]
     numbers = {label: number for one in found for label, number in one["bands"].items()}
     sizes: dict[str, float] = {}
     for band in bands if found else ():

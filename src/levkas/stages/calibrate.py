@@ -7,44 +7,42 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from levkas.calibration.agreement import compare_facts
-from levkas.calibration.chart_light import CHART_WHITE
-from levkas.calibration.code_checks import CodesRefused
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
+from levkas.calibration.findings import Finding, decide, refusal
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
-from levkas.calibration.sensor_context import (
-    SensorContext,
+from levkas.calibration.record import SensorRecord, findings_of, findings_of_lamp
+from levkas.calibration.sensor import (
+    SERIES,
+    SensorCapture,
+    SensorCube,
     exposure_of,
     placed,
     placing,
+    spread,
+    times_of_band,
+    white_shots,
 )
-from levkas.calibration.sensor_notes import describe_sensor, doubts_of
-from levkas.calibration.stated_exposures import require_black, require_exposures
-from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
+from levkas.calibration.stated import doubts_of, require_sound
+from levkas.calibration.templates import CalibrationRefused
 from levkas.calibration.white_area import WhiteArea, joined_area
 from levkas.calibration.whites import WhiteBoard
-from levkas.core.cube import Cube, Flag
+from levkas.core.cube import Flag
 from levkas.core.files import remove, together
-from levkas.core.problems import Problem, Refused, gathered
+from levkas.core.problems import Problem
 from levkas.core.threads import each, in_threads
 from levkas.core.transpose import transpose
 from levkas.database.registrations import read_registration
-from levkas.readers.frames import UnreadableCapture, read_facts
-from levkas.stages.above_white import count_above, describe_above, require_light
-from levkas.stages.capture_statistics import (
-    describe_lamp,
-    focus_of,
-    note_light,
-    note_sensels,
-    note_traps,
-)
+from levkas.readers.frames import read_facts
+from levkas.stages.above_white import count_above, findings_of_counts
+from levkas.stages.capture_statistics import focus_of
 from levkas.stages.chart_white import lights_by_chart
 from levkas.stages.exposures import (
     average_shots,
@@ -53,6 +51,7 @@ from levkas.stages.exposures import (
     defects_of,
     expose,
     flatten,
+    lost_values,
     mark_glare_in,
     noise_of,
     noise_of_band,
@@ -61,11 +60,23 @@ from levkas.stages.exposures import (
     white_area_of,
     white_of,
 )
+from levkas.stages.measurements import (
+    Series,
+    Stacks,
+    light_of,
+    measure_stacks,
+    sensels_of,
+    sensor_noise,
+    series_of,
+    straightness,
+    stray_light_by,
+)
 from levkas.stages.native_files import filed_parts, part_name, require_memory, write_native
+from levkas.stages.opening import open_frames
 from levkas.stages.parts import CalibratedCapture, Part, Placement, median_focus
 from levkas.stages.scans import develop_scan, is_streamed, open_scan
 from levkas.stages.shared_noise import Mosaic
-from levkas.stages.spectra import board_of, broad_centroids, credits_of
+from levkas.stages.spectra import broad_centroids, credits_of
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
@@ -73,14 +84,15 @@ if TYPE_CHECKING:
 
     from levkas.calibration.chart_light import ChartLight
     from levkas.calibration.noise_fit import NoiseModel
+    from levkas.calibration.templates import Template
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.layout import Places
     from levkas.stages.template_cache import TemplateCache
 
 MOST_PROBLEMS = 50
-Noted = tuple[Cube, list[str]]
-"""Of one sensor, and what a person should know of it."""
+GROUP, ROWS = 8, 16
+"""Bands that are laid into a cube in one passage over some rows, in which they lie innermost."""
 
 
 def calibrate(
@@ -97,7 +109,7 @@ def calibrate(
             (),
             {sensor.name: sensor.align for sensor in capture.sensors},
             read_facts(capture.sensors[0].object[0].path).captured,
-            tuple(_contradictions(capture, campaign, templates)),
+            tuple(_contradictions(capture, campaign)),
             coming=(develop(tile, campaign, templates) for tile in capture.tiles),
         )
     if is_streamed(capture, campaign):
@@ -106,15 +118,11 @@ def calibrate(
     return develop(capture, campaign, templates)
 
 
-def _contradictions(
-    capture: Capture, campaign: Campaign, templates: TemplateCache
-) -> Iterator[str]:
+def _contradictions(capture: Capture, campaign: Campaign) -> Iterator[str]:
     """Compare what files of different tiles state; raises CalibrationRefused where they contradict each other."""
     where, camera = f"{capture.object}/{capture.layer}", campaign.cameras[capture.camera]
     for sensor in capture.sensors:
-        facts = read_facts(sensor.object[0].path)
-        context = SensorContext(campaign, camera, sensor, facts, templates)
-        notes = compare_facts(camera, sensor, context.alignments)
+        notes = compare_facts(camera, sensor)
         yield from (f"{where}: {note}" for note in (*notes, *sensor.remarks))
 
 
@@ -249,76 +257,56 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> C
 
     Raises Refused: UnreadableCapture or CalibrationRefused, with the files in question.
     """
-    try:
-        if campaign.cameras[capture.camera].traits.is_scanned:
-            return develop_scan(capture, campaign, templates)
-        return _develop_frames(capture, campaign, templates)
-    except (UnreadableCapture, CodesRefused) as refused:
-        raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
-
-
-def _develop_frames(
-    capture: Capture, campaign: Campaign, templates: TemplateCache
-) -> CalibratedCapture:
     camera, mosaics = campaign.cameras[capture.camera], mosaics_of(capture, campaign)
-    parts, notes, captured, focus = [], [], None, []
-    measured: dict[str, dict[str, Any]] = {}
+    if camera.traits.is_scanned:
+        return develop_scan(capture, campaign, templates)
     lights = _lights_of(capture, campaign, templates)
     traps = capture.boxes(campaign.targets.traps.get(capture.object, {}))
-    contexts = []
-    for sensor in capture.sensors:
-        board, facts = board_of(campaign, capture, sensor), read_facts(sensor.object[0].path)
-        contexts.append(
-            SensorContext(
-                *(campaign, camera, sensor, facts, templates),
-                light=lights.get(sensor.name),
-                reflectance=board.reflectance,
-                doubts=board.notes,
-            )
-        )
-    notes += _compare_all(contexts)
+    contexts = [
+        open_frames(capture, campaign, s, templates, lights.get(s.name)) for s in capture.sensors
+    ]
+    notes: list[Finding | str] = [*_agreeing(contexts)]
+    parts, records, focus = [], {}, []
     for context in contexts:
-        sensor, light = context.sensor, context.light
-        captured = captured or context.facts.captured
-        if camera.traits.is_calibrated:
-            require_exposures(context)
-            require_black(context)
-        notes += doubts_of(context)
-        if light is not None:
-            _require_chart_of_size(context, light)
-            context.measured[CHART_WHITE] = dict(light.record)
-        cube, found = developer_of(camera)(context)
-        cube = mark_glare_in(cube)
-        context.note_bend()
-        notes += [*found, *describe_sensor(context)]
-        notes += note_traps(context.measured, cube, traps.get(sensor.name, []), capture.object)
-        counts = count_above(cube)
-        with placing(sensor.object):
-            require_light(counts, cube.labels)
-        notes += describe_above(counts, cube.labels)
-        measured[sensor.name] = context.measured
+        name = context.sensor.name
+        require_sound(context)
+        if context.light is not None:
+            _require_chart_of_size(context, context.light)
+            context.record.chart_white = dict(context.light.record)
+        made = developer_of(camera)(context)
+        cube = mark_glare_in(made.cube)
+        record = records[name] = SensorRecord()
+        record.add([context.record, made.record])
+        record.stray_light, trapped = stray_light_by(cube, traps.get(name, []), capture.object)
+        notes += [*doubts_of(context), *made.notes, *trapped]
+        notes += findings_of(record, in_files=camera.traits.bands_in == "files")
+        if cube.sigma is None and camera.traits.is_calibrated and not context.holds_reflectance:
+            notes.append(Finding("no_sigma"))
+        notes += findings_of_counts(count_above(cube), cube.labels)
         focus += focus_of([cube])
-        parts.append(Part.held(cube, sensor.name, mosaic=mosaics.get(sensor.name)))
-        del cube  # its sigma, which is packed
-    notes += describe_lamp(measured)
-    aligns = {sensor.name: sensor.align for sensor in capture.sensors}
+        parts.append(Part.held(cube, name, mosaic=mosaics.get(name)))
+        del cube, made  # its sigma, which is packed
+    notes += findings_of_lamp(records.values())
     where = f"{capture.object}/{capture.layer}"
-    warnings = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
+    with placing([frame for sensor in capture.sensors for frame in sensor.object]):
+        warnings = tuple(f"{where}: {note}" for note in decide(notes))
+    aligns = {sensor.name: sensor.align for sensor in capture.sensors}
+    stated = (context.facts.captured for context in contexts)
+    captured = next((one for one in stated if one), None)
+    measured = {name: record.to_json() for name, record in records.items()}
     return CalibratedCapture(parts, aligns, captured, warnings, measured, focus)
 
 
-def _compare_all(contexts: Sequence[SensorContext]) -> list[str]:
-    """Compare what the files of every sensor state; return notes. Raises CalibrationRefused with all contradictions."""
-    notes: list[str] = []
+def _agreeing(contexts: Sequence[SensorCapture]) -> Iterator[str]:
+    """Compare what the files of every sensor state; yield notes. Raises CalibrationRefused with all contradictions."""
     problems: list[Problem] = []
     for context in contexts:
         try:
-            notes += compare_facts(context.camera, context.sensor, context.alignments)
+            yield from compare_facts(context.camera, context.sensor, context.alignments)
         except CalibrationRefused as refused:
             problems += refused.problems
     if problems:
         raise CalibrationRefused(*problems)
-    return notes
 
 
 def _lights_of(
@@ -332,94 +320,69 @@ def _lights_of(
     return lights_by_chart(capture, campaign, made)
 
 
-def _require_chart_of_size(context: SensorContext, light: ChartLight) -> None:
+def _require_chart_of_size(context: SensorCapture, light: ChartLight) -> None:
     """Refuse a chart whose frames have another size than the object's: its light lies elsewhere."""
-    height, width = context.facts.shape[:2]
-    size = light.size
-    if (height, width) != size:
-        problem = Problem(
-            "E_SIZE",
-            f"{context.camera.name}: chart and object differ in size",
-            field=f"cameras.{context.camera.name}.white.chart",
-            found=f"{size[1]} x {size[0]}",
-            expected=f"{width} x {height}",
-            fix="Capture the chart in the object's mode.",
-        )
-        raise CalibrationRefused(placed(problem, context.sensor.chart))
+    if context.facts.shape[:2] != light.size:
+        found, expected = (f"{w} x {h}" for h, w in (light.size, context.facts.shape[:2]))
+        wrong = Finding("chart_size", camera=context.camera.name, found=found, expected=expected)
+        raise CalibrationRefused(placed(wrong.problem(), context.sensor.chart))
 
 
-def _all_problems(
-    capture: Capture, campaign: Campaign, templates: TemplateCache, first: Refused
-) -> list[Problem]:
-    """What is wrong with every frame of a capture: who mends one wants to know of the others."""
-    problems = list(first.problems)
-    for sensor in capture.sensors:
-        for frame in (*sensor.object, *sensor.white, *sensor.dark, *sensor.chart):
-            try:
-                facts = read_facts(frame.path)
-                context = SensorContext(
-                    campaign, campaign.cameras[capture.camera], sensor, facts, templates
-                )
-                context.checked(context.frame(frame), frame)
-            except Refused as refused:
-                problems += refused.problems
-            if len(problems) > MOST_PROBLEMS:
-                return gathered(problems, cut=True)
-    return gathered(problems)
-
-
-def develop_mosaic(context: SensorContext) -> Noted:
+def develop_mosaic(context: SensorCapture) -> SensorCube:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
-    sensor, camera = context.sensor, context.camera
-    darks = context.darks(sensor.dark)
+    sensor, camera, pattern = context.sensor, context.camera, context.sensor.pattern
+    labels = [band.label for band in sensor.bands]
+    darks = context.templates(sensor.dark)
     shots = average_shots(context, sensor.object, darks)
     whites = context.templates(sensor.white, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
     white = white_of(context, whites, darks)
-    require_white(context, white, darks, [band.label for band in sensor.bands])
+    require_white(context, white, darks, labels)
     noise = noise_of(context, shots, [white] * len(shots), darks)
     exposed = expose(context, shots, darks, noise)
     if exposed.shot.above_dark:
         white = white_of(context, whites, darks, noise=noise, merged=True)
     area = white_area_of(context, exposed.shot, white, darks)
-    notes = [check_scaling(context, exposed, white, (shots, whites), darks), *area.notes]
-    pattern = sensor.pattern
-    note_light(context.measured, white, darks, pattern, [b.label for b in sensor.bands])
+    notes = [*check_scaling(context, exposed, white, (shots, whites), darks), *area.notes]
     defects = defects_of(darks, white, pattern, area.uncovered)
+    board = WhiteBoard(context.reflectance, pattern, labels, unit=context.unit_of(sensor.object[0]))
     flat = flatten(
-        context,
-        exposed.shot,
-        darks,
-        white,
-        moved=exposed.moved,
-        board=WhiteBoard(
-            *(context.reflectance, pattern, [b.label for b in sensor.bands]),
-            unit=context.unit_of(sensor.object[0]),
-        ),
-        noise=noise,
-        defects=defects,
+        *(context, exposed.shot, darks, white),
+        board=board, noise=noise, defects=defects, moved=exposed.moved,
+    )  # fmt: skip
+    record = SensorRecord(
+        light=light_of(white, darks, pattern, labels),
+        sensor=_sensor_noise(context, noise, darks),
+        clipped_darks=context.clipped_darks(darks),
+        white_shots=white_shots(whites),
     )
-    notes.extend(flat.notes)
+    series = [found for some in (shots, whites) for found in series_of(context, some, darks)]
+    stacks = Stacks(context, exposed.shot, darks, white, board)
+    record.add([straightness(context, series), measure_stacks(stacks, flat, noise)])
+    notes += [*flat.notes, *_doubts_of_noise(noise)]
     values, flags, variance = replace_defects(
         flat.values, flat.flags, flat.variance, pattern=pattern
     )
     if pattern is None:
         deep = values.shape if values.ndim == 3 else (*values.shape, 1)
         variance = None if variance is None else variance.reshape(deep)
-        deepened = (values.reshape(deep), flags.reshape(deep), variance)
-        return cube_of(context, *deepened, flat.quantity, area.uncovered), notes
-    note_sensels(
-        context.measured, values, flags, variance, pattern, [b.label for b in sensor.bands]
-    )
-    made = demosaic(
-        values,
-        flags,
-        variance,
-        pattern,
-        method=demosaicing_of(camera, sensor),
-        channels=[b.label for b in sensor.bands],
-    )
-    return cube_of(context, *made, flat.quantity, area.uncovered), notes
+        made = (values.reshape(deep), flags.reshape(deep), variance)
+    else:
+        record.sensels = sensels_of(values, flags, variance, pattern, labels)
+        method = demosaicing_of(camera, sensor)
+        made = demosaic(values, flags, variance, pattern, method=method, channels=labels)
+    return SensorCube(cube_of(context, *made, flat.quantity, area.uncovered), notes, record)
+
+
+def _sensor_noise(
+    context: SensorCapture, noise: NoiseModel | None, darks: Sequence[Template]
+) -> Any:
+    dark = darks[0] if darks else None
+    return sensor_noise(noise, dark, context.black or 0.0, context.saturation)
+
+
+def _doubts_of_noise(noise: NoiseModel | None) -> list[Finding]:
+    return [Finding("single_shots")] if noise is not None and noise.source == "spatial" else []
 
 
 def demosaicing_of(camera: Camera, sensor: SensorFrames) -> str | None:
@@ -428,65 +391,67 @@ def demosaicing_of(camera: Camera, sensor: SensorFrames) -> str | None:
     return camera.demosaic or ("bilinear" if beam_splitter else None)
 
 
-def develop_image(context: SensorContext) -> Noted:
+def develop_image(context: SensorCapture) -> SensorCube:
     """A photograph or radiograph: nothing to calibrate, its codes as they are."""
     shot = context.average(context.sensor.object)
-    values = shot.mean[..., None] if shot.mean.ndim == 2 else shot.mean
-    notes = []
+    shape = shot.mean.shape if shot.mean.ndim == 3 else (*shot.mean.shape, 1)
+    values, notes = shot.mean.reshape(shape), []
     if shot.lost is not None:
-        notes.append(describe_gaps(shot.lost, context.camera.name))
-        values = np.where(shot.lost.reshape(values.shape), np.float32(np.nan), values)
-    saturated = shot.saturated.reshape(values.shape)
-    flags = np.where(saturated, np.uint8(Flag.SATURATED), np.uint8(0))
+        notes.append(lost_values(shot.lost, "all bands"))
+        values = np.where(shot.lost.reshape(shape), np.float32(np.nan), values)
+    flags = np.where(shot.saturated.reshape(shape), np.uint8(Flag.SATURATED), np.uint8(0))
     if shot.absent is not None:
-        absent = shot.absent.reshape(values.shape)
+        absent = shot.absent.reshape(shape)
         values = np.where(absent, np.float32(np.nan), values)
         flags = np.where(absent, np.uint8(Flag.OUTSIDE), flags)
     variance = None
     if shot.variance is not None:
-        variance = mean_variance(shot, step=context.step).reshape(values.shape)
+        variance = mean_variance(shot, step=context.step).reshape(shape)
     values = np.ascontiguousarray(values, np.float32)
-    return cube_of(context, values, flags, variance, "counts"), notes
+    return SensorCube(cube_of(context, values, flags, variance, "counts"), notes)
 
 
-GROUP, ROWS = 8, 16
-"""Bands that are laid into a cube in one passage over some rows, in which they lie innermost."""
+class _Band(NamedTuple):
+    """One band: its values, what was measured, its exposure series, and what a person should know."""
+
+    flat: Calibrated
+    record: SensorRecord
+    series: list[Series]
+    notes: list[Finding | str]
 
 
-def develop_bands(context: SensorContext) -> Noted:
+def develop_bands(context: SensorCapture) -> SensorCube:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
     bands = context.sensor.bands
     reflectances = np.broadcast_to(context.reflectance, len(bands))
     require_one_size(context)
-    noise, area = _noise_of_bands(context)
+    darks = context.templates([f for f in context.sensor.dark if f.band is None])
+    noise, area, sensor = _noise_of_bands(context)
     shape = (*context.facts.shape[:2], len(bands))
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     variance: np.ndarray | None = np.empty(shape, np.float32)
-    notes: list[str] = [*area.notes]
+    notes: list[Finding | str] = [*area.notes, *_doubts_of_noise(noise)]
+    record, series = SensorRecord(sensor=sensor, clipped_darks=context.clipped_darks(darks)), []
     quantity = "reflectance"
     for start in range(0, len(bands), GROUP):
         some = slice(start, start + GROUP)
         labels = [band.label for band in bands[some]]
         group = each(partial(_band, context, noise, area), labels, reflectances[some].tolist())
-        for flat in group:
-            notes.extend(flat.notes)
-            quantity = flat.quantity
-        _interleave([flat.values for flat in group], values, start)
-        _interleave([flat.flags for flat in group], flags, start)
-        variances = [flat.variance for flat in group if flat.variance is not None]
+        for one in group:
+            notes += one.notes
+            series += one.series
+            quantity = one.flat.quantity
+        record.add(one.record for one in group)
+        _interleave([one.flat.values for one in group], values, start)
+        _interleave([one.flat.flags for one in group], flags, start)
+        variances = [one.flat.variance for one in group if one.flat.variance is not None]
         if variance is not None and len(variances) == len(group):
             _interleave(variances, variance, start)
         else:
             variance = None
-    _put_in_order(context.measured, [band.label for band in bands])
-    return cube_of(context, values, flags, variance, quantity, area.uncovered), notes
-
-
-def _put_in_order(measured: dict[str, Any], labels: Sequence[str]) -> None:
-    """Put what was measured band by band in the order of the bands, whichever was done first."""
-    for name, value in measured.items():
-        if isinstance(value, dict) and value.keys() <= set(labels):
-            measured[name] = {label: value[label] for label in labels if label in value}
+    record.add([straightness(context, series)])
+    cube = cube_of(context, values, flags, variance, quantity, area.uncovered)
+    return SensorCube(cube, notes, record)
 
 
 def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, band: int) -> None:
@@ -503,62 +468,55 @@ def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, band: int) -> No
 
 
 def _band(
-    context: SensorContext,
+    context: SensorCapture,
     noise: NoiseModel | None,
     area: WhiteArea,
     label: str,
     reflectance: float,
-) -> Calibrated:
+) -> _Band:
     """One band of one file, or of one file an exposure."""
     sensor = context.sensor
-    darks = context.darks(_of_band(sensor.dark, label))
-    shots = average_shots(context, [f for f in sensor.object if f.band == label], darks)
-    frames = _require(_of_band(sensor.white, label), context, label)
-    whites = context.templates(frames, darks)
-    require_same_size(context, shots[0].mean.shape, darks, whites)
-    noise = noise_of_band(context, noise, shots, whites, darks, label)
+    shots, whites, darks = _stacks_of_band(context, label)
+    noise, unlike = noise_of_band(context, noise, shots, whites, darks)
     exposed = expose(context, shots, darks, noise)
     white = white_of(
         *(context, whites, darks), noise=noise, merged=exposed.shot.above_dark, band=label
     )
     require_white(context, white, darks, [label])
-    doubt = check_scaling(context, exposed, white, (shots, whites), darks)
-    note_light(context.measured, white, darks, None, [label])
+    notes: list[Finding | str] = [*check_scaling(context, exposed, white, (shots, whites), darks)]
+    unit = context.unit_of(next(f for f in sensor.object if f.band == label))
+    board = WhiteBoard(reflectance, labels=[label], unit=unit)
+    defects = defects_of(darks, white, sensor.pattern, area.uncovered)
     flat = flatten(
-        context,
-        exposed.shot,
-        darks,
-        white,
-        moved=exposed.moved,
-        board=WhiteBoard(
-            reflectance,
-            labels=[label],
-            unit=context.unit_of(next(f for f in sensor.object if f.band == label)),
-        ),
-        noise=noise,
-        defects=defects_of(darks, white, sensor.pattern, area.uncovered),
+        *(context, exposed.shot, darks, white),
+        board=board, noise=noise, defects=defects, moved=exposed.moved,
+    )  # fmt: skip
+    own_darks = darks if any(f.band == label for f in sensor.dark) else []
+    record = SensorRecord(
+        light=light_of(white, darks, None, [label]),
+        unlike_noise={} if unlike == 1.0 else {label: float(f"{unlike:.3g}")},
+        clipped_darks=context.clipped_darks(own_darks, label),
+        white_shots=white_shots(whites, label),
     )
+    record.add([measure_stacks(Stacks(context, exposed.shot, darks, white, board), flat, noise)])
+    series = [
+        found
+        for some, frames in ((shots, sensor.object), (whites, sensor.white))
+        if label in _looked_at(frames)
+        for found in series_of(context, some, darks)
+    ]
+    context.forget(label)
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:
         plane = equalise_phases(*plane, sensor.pattern)
-    notes = tuple(note for note in (*flat.notes, doubt) if note)
-    return replace(flat, values=plane[0], flags=plane[1], variance=plane[2], notes=notes)
+    flat = replace(flat, values=plane[0], flags=plane[1], variance=plane[2])
+    return _Band(flat, record, series, [*flat.notes, *notes])
 
 
-def _require(frames: list[FrameRef], context: SensorContext, label: str) -> list[FrameRef]:
-    if not frames and context.sensor.white:
-        raise CalibrationRefused(
-            Problem(
-                "E_TEMPLATE_MISSING",
-                f"{context.camera.name}: no white for band {label}",
-                str(context.sensor.white[0].path.parent),
-                f"cameras.{context.camera.name}.files",
-                "no file",
-                f"a white frame of {label}",
-                "Add the frame, or remove the band from `wavelengths`.",
-            )
-        )
-    return frames
+def _looked_at(frames: Sequence[FrameRef]) -> list[str | None]:
+    """Return a few bands, of those with several exposures, that show how straight the sensor is."""
+    bands = dict.fromkeys(frame.band for frame in frames)
+    return spread([band for band in bands if len(times_of_band(frames, band)) > 1], SERIES)
 
 
 def _of_band(frames: Sequence[FrameRef], label: str) -> list[FrameRef]:
@@ -567,20 +525,34 @@ def _of_band(frames: Sequence[FrameRef], label: str) -> list[FrameRef]:
     return own or [f for f in frames if f.band is None]
 
 
-def require_one_size(context: SensorContext) -> None:
+def _stacks_of_band(
+    context: SensorCapture, label: str
+) -> tuple[list[Template], list[Template], list[Template]]:
+    """Return shots, whites and darks of a band, each exposure by exposure."""
+    sensor = context.sensor
+    darks = context.templates(_of_band(sensor.dark, label))
+    shots = average_shots(context, [f for f in sensor.object if f.band == label], darks)
+    frames = _of_band(sensor.white, label)
+    if sensor.white and not frames:
+        folder = str(sensor.white[0].path.parent)
+        raise refusal("white_missing", label, file=folder, camera=context.camera.name)
+    whites = context.templates(frames, darks)
+    require_same_size(context, shots[0].mean.shape, darks, whites)
+    return shots, whites, darks
+
+
+def require_one_size(context: SensorCapture) -> None:
     """Refuse bands of another size than most of them, before any statistic takes several together."""
     sizes = {f.path: read_facts(f.path).shape[:2] for f in context.sensor.object}
     usual = Counter(sizes.values()).most_common(1)[0][0]
     problems = [
-        Problem(
-            "E_SIZE",
-            f"{context.camera.name}: band {frame.band} differs in size from the other bands",
-            str(frame.path),
-            "width, height",
-            f"{sizes[frame.path][1]} x {sizes[frame.path][0]}",
-            f"{usual[1]} x {usual[0]}",
-            "Use a frame of the correct camera, captured in the mode of the others.",
-        )
+        Finding(
+            "band_size",
+            frame.band or "",
+            file=str(frame.path),
+            found="{1} x {0}".format(*sizes[frame.path]),
+            expected="{1} x {0}".format(*usual),
+        ).problem()
         for frame in context.sensor.object
         if sizes[frame.path] != usual
     ]
@@ -588,7 +560,7 @@ def require_one_size(context: SensorContext) -> None:
         raise CalibrationRefused(*problems[:MOST_PROBLEMS])
 
 
-def _noise_of_bands(context: SensorContext) -> tuple[NoiseModel | None, WhiteArea]:
+def _noise_of_bands(context: SensorCapture) -> tuple[NoiseModel | None, WhiteArea, Any]:
     """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor.
 
     The same bands show where the white shows the object in place of the board.
@@ -599,25 +571,24 @@ def _noise_of_bands(context: SensorContext) -> tuple[NoiseModel | None, WhiteAre
     shots, whites, sets, areas = zip(*found, strict=True)
     own_darks = any(f.band for f in context.sensor.dark)
     darks = [dark for some in (sets if own_darks else sets[:1]) for dark in some]
-    return noise_of(context, [*shots], [*whites], darks), joined_area(areas)
+    noise = noise_of(context, [*shots], [*whites], darks)
+    return noise, joined_area(areas), _sensor_noise(context, noise, darks)
 
 
 def _white_of_band(
-    context: SensorContext, label: str
+    context: SensorCapture, label: str
 ) -> tuple[Template, Template | None, list[Template], WhiteArea]:
     """Return shot, white and darks of one band at its first exposure, and where the white shows the board."""
-    frames = [f for f in context.sensor.object if f.band == label]
-    alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
-    darks = context.darks(_of_band(context.sensor.dark, label))
-    (shot,) = average_shots(context, alike, darks)
-    whites = context.templates(_of_band(context.sensor.white, label), darks)
+    shots, whites, darks = _stacks_of_band(context, label)
+    first = next(f for f in context.sensor.object if f.band == label)
+    time = exposure_of(first)
+    shot = next(one for one in shots if one.exposure_s == time)
     white = white_of(context, whites, darks, band=label)
-    require_same_size(context, shot.mean.shape, darks, [white] if white else [])
     return shot, white, darks, white_area_of(context, shot, white, darks)
 
 
-def developer_of(camera: Camera) -> Callable[[SensorContext], Noted]:
+def developer_of(camera: Camera) -> Callable[[SensorCapture], SensorCube]:
     """Return the function that the row of a camera's kind names (`levkas.campaign.camera_kinds.KINDS`)."""
     module, _, name = camera.traits.develop.partition(":")
-    found: Callable[[SensorContext], Noted] = getattr(import_module(module), name)
+    found: Callable[[SensorCapture], SensorCube] = getattr(import_module(module), name)
     return found

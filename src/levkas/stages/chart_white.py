@@ -10,7 +10,7 @@ import numpy as np
 
 from levkas.calibration.chart_light import ChartLight, Light, Patches, fit_light
 from levkas.calibration.patterns import channel_table
-from levkas.calibration.sensor_context import placed
+from levkas.calibration.sensor import placed
 from levkas.core.cube import UNRELIABLE, Band, Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.core.text import read_text

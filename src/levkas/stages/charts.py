@@ -31,7 +31,6 @@ from levkas.quality.targets.indicators import WhiteEvenness
 from levkas.quality.targets.locating import locate_in_cube
 from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure
 from levkas.quality.targets.stray_light import describe_trap
-from levkas.stages.capture_statistics import ROUNDING, STRAYED
 from levkas.stages.chart_files import charts_in, is_database, read_cube_file
 
 if TYPE_CHECKING:
@@ -319,13 +318,15 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
         },
         whole.captured or "",
         {
-            name: tuple(_of_sensor(whole, name, ROUNDING).get(label, 0.0) for label in cube.labels)
+            name: tuple(
+                _of_sensor(whole, name, "rounding").get(label, 0.0) for label in cube.labels
+            )
             for name, cube in cubes.items()
         },
         count,
         edges_of(campaign, capture),
         common,
-        {name: one for name in whole.measured if (one := _of_sensor(whole, name, STRAYED))},
+        {name: one for name in whole.measured if (one := _of_sensor(whole, name, "stray_light"))},
     )
 
 

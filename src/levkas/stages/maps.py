@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from levkas.calibration.sensor_context import SensorContext, read_cube
-from levkas.core.cube import Cube
+from levkas.calibration.sensor import SensorCapture, SensorCube, read_cube
 from levkas.core.flags import Flag
 from levkas.core.problems import Problem
 from levkas.readers.facts import UnreadableCapture
@@ -17,7 +16,7 @@ MOST_MAPS = 200
 """Of one stack; programs for X-ray fluorescence fit some twenty elements, and a stack of more holds spectra."""
 
 
-def develop_maps(context: SensorContext) -> tuple[Cube, list[str]]:
+def develop_maps(context: SensorCapture) -> SensorCube:
     """A stack of maps, in one file or a file each, its values as they are; what is not finite is outside of the scan.
 
     Raises UnreadableCapture where the stack holds spectra, not maps, and CalibrationRefused where files differ in size.
@@ -45,4 +44,4 @@ def develop_maps(context: SensorContext) -> tuple[Cube, list[str]]:
     outside = ~np.isfinite(values)
     flags = np.where(outside, np.uint8(Flag.OUTSIDE), np.uint8(0))
     values = np.where(outside, np.float32(np.nan), values)
-    return cube_of(context, values, flags, None, "counts"), []
+    return SensorCube(cube_of(context, values, flags, None, "counts"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.sensor_context import placing
+from levkas.calibration.sensor import placing
 from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.disk import require_space
 from levkas.core.rounding import STEP_PER_SIGMA

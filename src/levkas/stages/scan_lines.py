@@ -7,21 +7,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+from levkas.calibration.darks import SAME_TIME
+from levkas.calibration.exposures import doubt_scaling
+from levkas.calibration.findings import Finding
 from levkas.calibration.flatfield import Calibrated, describe_darks, pair_darks
-from levkas.calibration.sensor_context import (
-    SensorContext,
+from levkas.calibration.sensor import (
+    SensorCapture,
+    listed,
     placed,
     timed,
     times_in,
     times_of,
 )
-from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
     as_absent,
     bands_alike,
-    describe_lost,
     gaps_of,
     no_values,
     pick_bands,
@@ -29,8 +31,8 @@ from levkas.calibration.templates import (
 )
 from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import Flag
-from levkas.stages.capture_statistics import DARK_FRAMES, PHOTONS, WHITE_FRAMES
 from levkas.stages.exposures import flatten
+from levkas.stages.measurements import DARK_FRAMES, PHOTONS, WHITE_FRAMES
 from levkas.stages.scan_templates import (
     FrameLines,
     ScanFile,
@@ -51,7 +53,7 @@ class FlatLines(NamedTuple):
 class Strip:
     """One file of a line scan, with what its lines are flat-fielded by."""
 
-    context: SensorContext
+    context: SensorCapture
     file: ScanFile
     templates: ScanTemplates
 
@@ -61,13 +63,13 @@ class Strip:
         return self.file.shape
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[Finding | str, ...]:
         """What exposures leave in doubt, known before a line is calibrated."""
         context, times = self.context, times_of(self.file.frame)
         shot, darks, white = self._line(0)
-        doubt = doubt_scaling(context, times, times_in(white)) if white is not None else ""
+        lit = listed(times_in(white)) if white is not None else ()
         notes = (
-            doubt,
+            *doubt_scaling(listed(times), lit, SAME_TIME),
             *describe_darks(shot, darks, white, context.black),
             *self.templates.area.notes,
         )
@@ -159,7 +161,7 @@ class Strip:
         return FlatLines(flat, np.broadcast_to(lost, shape).sum((0, 1)))
 
 
-def describe_loss(context: SensorContext, lost: np.ndarray, pixels: int) -> list[str]:
+def describe_loss(context: SensorCapture, lost: np.ndarray, pixels: int) -> list[Finding]:
     """Report how many values of a scan of so many pixels are no finite numbers, of counts by band; nothing where all are.
 
     Raises CalibrationRefused where a band has no finite value at all.
@@ -168,5 +170,4 @@ def describe_loss(context: SensorContext, lost: np.ndarray, pixels: int) -> list
         refused = no_values(int(empty[0]), (pixels, 1, len(lost)))
         raise CalibrationRefused(*(placed(p, context.sensor.object) for p in refused.problems))
     count = int(lost.sum())
-    name = context.camera.name
-    return [describe_lost(count, pixels * len(lost), name)] if count else []
+    return [Finding("lost", "all bands", count, pixels * len(lost))] if count else []

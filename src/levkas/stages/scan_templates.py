@@ -14,11 +14,15 @@ import numpy as np
 
 from levkas.calibration.clipped_darks import MANY_ZEROS, pairs_of_lines
 from levkas.calibration.darks import level_under
-from levkas.calibration.differing_shots import require_agreement
-from levkas.calibration.drift import average_steady, lamp_along, lamp_between
 from levkas.calibration.exposures import best_exposure
+from levkas.calibration.lamp import (
+    average_steady,
+    lamp_along,
+    lamp_between,
+    require_agreement,
+)
 from levkas.calibration.noise_fit import fit_noise
-from levkas.calibration.sensor_context import (
+from levkas.calibration.sensor import (
     Times,
     by_exposure,
     capture_times,
@@ -28,6 +32,7 @@ from levkas.calibration.sensor_context import (
     templates_by_exposure,
     timed,
     times_of,
+    white_shots,
 )
 from levkas.calibration.templates import CalibrationRefused, ShotLevels, Template, average
 from levkas.calibration.white_area import WhiteArea, find_white_area, find_white_line
@@ -36,14 +41,14 @@ from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem
 from levkas.readers.envi import EnviFile, open_envi
 from levkas.readers.frames import read_facts
-from levkas.stages.capture_statistics import note_lamp, note_light, note_noise
 from levkas.stages.exposures import noise_of, require_same_size
+from levkas.stages.measurements import lamp_numbers, light_of, sensor_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.calibration.sensor_context import SensorContext
+    from levkas.calibration.sensor import SensorCapture
     from levkas.campaign.discovery.captures import FrameRef
 
 BLOCK_SAMPLES = 4_000_000
@@ -122,7 +127,7 @@ class FrameLines:
         Exposure of all of them.
     """
 
-    context: SensorContext
+    context: SensorCapture
     files: tuple[ScanFile, ...]
     times: Times = None
 
@@ -133,7 +138,7 @@ class FrameLines:
 
     @classmethod
     def by_exposure(
-        cls, context: SensorContext, role: Literal["dark", "white"], shape: tuple[int, int, int]
+        cls, context: SensorCapture, role: Literal["dark", "white"], shape: tuple[int, int, int]
     ) -> list[FrameLines]:
         """Open the shots of a role for a scan of a shape, exposure by exposure, shortest first.
 
@@ -207,7 +212,7 @@ def _rows_of(plane: np.ndarray | None, start: int, stop: int) -> np.ndarray | No
     return plane if plane is None or len(plane) == 1 else plane[start:stop]
 
 
-def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
+def templates_of_scan(context: SensorCapture, shape: tuple[int, int, int]) -> ScanTemplates:
     """Prepare dark, white and noise for scans of a shape, and note light and noise of the sensor.
 
     Raises CalibrationRefused where sizes differ, or the white cannot serve.
@@ -217,24 +222,27 @@ def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> Sc
     return _of_pushbroom(context, shape)
 
 
-def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
+def _of_pushbroom(context: SensorCapture, shape: tuple[int, int, int]) -> ScanTemplates:
     sensor = context.sensor
 
     def make_dark(frames: Sequence[FrameRef]) -> Template:
         return context.unclipped(average_lines(context, frames), _pairs(frames[0]))
 
     darks = templates_by_exposure(sensor.dark, make_dark)
-    for dark in darks:
-        context.note_dark(dark)
+    record = context.record
+    record.clipped_darks |= context.clipped_darks(darks)
     whites = templates_by_exposure(sensor.white, partial(average_lines, context, darks=darks))
     require_same_size(context, shape, darks, whites)
     white = whites[best_white(whites)] if whites else None
     if white is not None and white.shots is not None:
         lines = shape[0] * len(sensor.object)  # strips are captured one after the other
         labels = [band.label for band in sensor.bands]
-        note_lamp(context.measured, labels, lamp_along(white.shots, lines))
-    note_light(context.measured, white, darks, None, [band.label for band in sensor.bands])
+        record.lamp = lamp_numbers(labels, lamp_along(white.shots, lines))
+    record.white_shots = white_shots(whites)
+    record.light = light_of(white, darks, None, [band.label for band in sensor.bands])
     noise = noise_of(context, [], [white] if white else [], darks)
+    dark = darks[0] if darks else None
+    record.sensor = sensor_noise(noise, dark, context.black or 0.0, context.saturation)
     area = WhiteArea()
     if white is not None:
         with placing(sensor.white):
@@ -242,18 +250,18 @@ def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTe
     return ScanTemplates(tuple(darks), white, noise, area)
 
 
-def _note_lamp_of(context: SensorContext, white: Template) -> None:
+def _note_lamp_of(context: SensorCapture, white: Template) -> None:
     """Note how the lamp changed between the whites of a mirror scanner; a scan shows nothing of its own."""
     if white.shots is None:
         return
     labels = [band.label for band in context.sensor.bands]
     times = capture_times(context.sensor.object)
     single = ShotLevels(np.ones((1, len(labels))), np.zeros(len(labels)), times)
-    note_lamp(context.measured, labels, lamp_between(white.shots, single))
+    context.record.lamp = lamp_numbers(labels, lamp_between(white.shots, single))
 
 
 def average_lines(
-    context: SensorContext, frames: Sequence[FrameRef], darks: Sequence[Template] = ()
+    context: SensorCapture, frames: Sequence[FrameRef], darks: Sequence[Template] = ()
 ) -> Template:
     """Average the dark or white of a push-broom camera along the scan, (1, samples, bands): each line is a shot."""
     files = [ScanFile.open(frame) for frame in frames]
@@ -286,7 +294,7 @@ def _pairs(frame: FrameRef) -> list[np.ndarray]:
     return [file.read(y, y + 1) for y in pairs_of_lines(*file.shape[:2])]
 
 
-def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
+def _of_mirror(context: SensorCapture, shape: tuple[int, int, int]) -> ScanTemplates:
     """Open dark and white; the white is checked by every so-many-th pixel."""
     sensor = context.sensor
     labels = [band.label for band in sensor.bands]
@@ -302,7 +310,7 @@ def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTempl
         white, thinned = whites[chosen], looked[chosen]
         with placing(white.frames):
             require_agreement(thinned.shots, [str(frame.path) for frame in white.frames])
-        context.note_white(thinned, white.frames)
+        context.record.white_shots = white_shots([thinned])
         _note_lamp_of(context, thinned)
         level = level_under(thinned, under, black=context.black)
         with placing(sensor.white):
@@ -312,13 +320,13 @@ def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTempl
                 problems = map(context.with_full_scale, refused.problems)
                 raise CalibrationRefused(*problems) from None
             area = _area_behind_mirror(context, thinned, level, step, shape)
-        note_light(context.measured, thinned, under, None, labels, period=(step, step))
+        context.record.light = light_of(thinned, under, None, labels, period=(step, step))
     noise = noise_behind_mirror(context, white.frames[0] if white else None, darks)
     return ScanTemplates(tuple(darks), white, noise, area)
 
 
 def _area_behind_mirror(
-    context: SensorContext,
+    context: SensorCapture,
     white: Template,
     level: np.ndarray,
     step: int,
@@ -350,7 +358,7 @@ def _of_one_line(dark: FrameLines, step: int) -> Template | FrameLines:
     line = average(lines, saturation=context.saturation, black_clip=context.black_clip)
     template = context.unclipped(context.whole(line, dark.frames), _pairs(file.frame))
     template = timed(template, dark.times)
-    context.note_dark(template)
+    context.record.clipped_darks |= context.clipped_darks([template])
     return dark if template.fit is None else template
 
 
@@ -393,7 +401,7 @@ def gaps_marked(shot: Template) -> Template:
 
 
 def noise_behind_mirror(
-    context: SensorContext,
+    context: SensorCapture,
     white_frame: FrameRef | None,
     darks: Sequence[Template | FrameLines] = (),
 ) -> NoiseModel | None:
@@ -421,17 +429,17 @@ def noise_behind_mirror(
     noise = fit_noise(stacks, level, black=black, step=context.step) if white else None
     if noise is not None:  # its dark is at hand some lines at a time
         noise = replace(noise, level=None)
-    note_noise(context.measured, noise, dark, black, context.saturation)
+    context.record.sensor = sensor_noise(noise, dark, black, context.saturation)
     return noise
 
 
-def _dark_like(context: SensorContext, white: FrameRef) -> FrameRef | None:
+def _dark_like(context: SensorCapture, white: FrameRef) -> FrameRef | None:
     """Return the dark of the white's exposure, else the first."""
     darks, time = context.sensor.dark, times_of(white)
     return next((d for d in darks if times_of(d) == time), darks[0] if darks else None)
 
 
-def _triples(context: SensorContext, frame: FrameRef) -> Template | None:
+def _triples(context: SensorCapture, frame: FrameRef) -> Template | None:
     """Return lines between two others as if they were two shots each; None of fewer than three lines."""
     file = ScanFile.open(frame)
     height = file.shape[0]

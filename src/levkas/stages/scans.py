@@ -12,10 +12,11 @@ import numpy as np
 
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.denoising import Projecting, Subspace, describe_removed, find_subspace
+from levkas.calibration.findings import Finding, decide
 from levkas.calibration.flatfield import Calibrated
-from levkas.calibration.sensor_context import SensorContext, placing
-from levkas.calibration.sensor_notes import describe_sensor, doubts_of
-from levkas.calibration.stated_exposures import require_black, require_exposures
+from levkas.calibration.record import findings_of, findings_of_lamp
+from levkas.calibration.sensor import SensorCapture, placing
+from levkas.calibration.stated import doubts_of, require_sound
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.rounding import round_root
 from levkas.core.threads import each, made_ahead
@@ -23,9 +24,11 @@ from levkas.core.transpose import transpose
 from levkas.geometry.transforms import Affine, Composed, Inverse
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
-from levkas.stages.above_white import COUNTS, count_above, describe_above, require_light
-from levkas.stages.capture_statistics import NOISE, VIEW, Middle, describe_lamp, note_traps
+from levkas.stages.above_white import COUNTS, count_above, findings_of_counts
+from levkas.stages.capture_statistics import Middle
 from levkas.stages.exposures import cube_of, mark_glare_in
+from levkas.stages.measurements import stray_light_by
+from levkas.stages.opening import open_frames
 from levkas.stages.parts import (
     CalibratedCapture,
     Part,
@@ -35,7 +38,6 @@ from levkas.stages.parts import (
 )
 from levkas.stages.scan_lines import FlatLines, Strip, describe_loss
 from levkas.stages.scan_templates import ScanFile, block_lines, templates_of_scan
-from levkas.stages.spectra import board_of
 from levkas.stages.strips import place_strips, require_one_time
 
 if TYPE_CHECKING:
@@ -91,37 +93,33 @@ class Scan:
     """A line scan: its strips, left to right, in px of the first, and what is known of it before its lines are calibrated."""
 
     capture: Capture
-    context: SensorContext
+    context: SensorCapture
     strips: Sequence[Strip]
     placement: Placement | None
-    notes: tuple[str, ...]
+    notes: tuple[Finding | str, ...]
     boxes: Sequence[tuple[int, int, int, int]] = ()
     """Light traps."""
 
     @classmethod
     def open(cls, capture: Capture, campaign: Campaign, templates: TemplateCache) -> Scan:
         """Prepare dark, white and noise, and place the strips."""
-        sensor, camera = capture.sensors[0], campaign.cameras[capture.camera]
-        board = board_of(campaign, capture, sensor)
-        context = SensorContext(
-            *(campaign, camera, sensor, read_facts(sensor.object[0].path), templates),
-            reflectance=board.reflectance,
-            doubts=board.notes,
-        )
-        stated = compare_facts(camera, sensor, context.alignments)
-        require_exposures(context)
-        require_black(context)
+        sensor = capture.sensors[0]
+        context = open_frames(capture, campaign, sensor, templates)
+        stated = compare_facts(context.camera, sensor, context.alignments)
+        require_sound(context)
         files = [ScanFile.open(frame) for frame in sensor.object]
         prepared = templates_of_scan(context, files[0].shape)
         strips = [Strip(context, file, prepared) for file in files]
         require_one_time(context, prepared)
-        notes = [*stated, *doubts_of(context)]
+        notes: list[Finding | str] = [*stated, *doubts_of(context)]
         placement = None
         if len(strips) > 1:
             placement, found = place_strips(strips)
             notes += found
-        notes += [*describe_sensor(context), *chain.from_iterable(one.notes for one in strips)]
-        notes += describe_lamp({sensor.name: context.measured})
+        notes += [*findings_of(context.record), *chain.from_iterable(one.notes for one in strips)]
+        notes += findings_of_lamp([context.record])
+        if prepared.noise is None and not context.holds_reflectance:
+            notes.append(Finding("no_sigma"))
         traps = capture.boxes(campaign.targets.traps.get(capture.object, {}))
         return cls(capture, context, strips, placement, (*notes,), traps.get(sensor.name, []))
 
@@ -161,9 +159,14 @@ class Scan:
         notes = passing.notes()
         if self.boxes:
             box = self.boxes, self.capture.object
-            notes += note_traps(self.context.measured, made.cubes[name], *box)
-        made.warnings = self._warnings(notes)
+            self.context.record.stray_light, found = stray_light_by(made.cubes[name], *box)
+            notes += found
+        made.measured, made.warnings = self._measured, self._warnings(notes)
         return made
+
+    @property
+    def _measured(self) -> dict[str, dict[str, Any]]:
+        return {self.context.sensor.name: self.context.record.to_json()}
 
     def _captured(self, parts: Sequence[Part], **more: Any) -> CalibratedCapture:
         sensor = self.context.sensor
@@ -172,14 +175,15 @@ class Scan:
             {sensor.name: sensor.align},
             self.context.facts.captured,
             self._warnings(()),
-            {sensor.name: self.context.measured},
+            self._measured,
             placement=self.placement,
             **more,
         )
 
-    def _warnings(self, notes: Sequence[str]) -> tuple[str, ...]:
+    def _warnings(self, notes: Sequence[Finding | str]) -> tuple[str, ...]:
         where = f"{self.capture.object}/{self.capture.layer}"
-        return tuple(dict.fromkeys(f"{where}: {note}" for note in (*self.notes, *notes) if note))
+        with placing(self.context.sensor.object):
+            return tuple(f"{where}: {note}" for note in decide((*self.notes, *notes)))
 
     def _survey(self, made: CalibratedCapture) -> None:
         """Pass over all lines: warnings, focus and pictures are known at the end."""
@@ -192,7 +196,7 @@ class Scan:
                 means.add(cube)
                 del cube  # before the next lines are made
             pictures.append(means.images())
-        made.warnings = self._warnings(passing.notes())
+        made.warnings, made.measured = self._warnings(passing.notes()), self._measured
         made.focus = median_focus(passing.focus)
         made.pictures = pictures[0] if self.placement is None else self._joined(pictures, made)
 
@@ -319,7 +323,7 @@ class ScanPass:
             del cube, block  # their memory is that of the lines, which may have been done with
         self.focus.append(middle.focus())
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Finding | str]:
         """Report what was lost and taken away; note the mean of the view, and what makes the noise there.
 
         Raises CalibrationRefused where a band has no finite value at all.
@@ -328,16 +332,15 @@ class ScanPass:
         if self._quantity == "reflectance":
             levels = self._sums / max(self._count, 1)
             means = zip(labels, levels.tolist(), strict=True)
-            scan.context.measured[VIEW] = {label: float(f"{at:.4g}") for label, at in means}
+            record = scan.context.record
+            record.mean_of_view = {label: float(f"{at:.4g}") for label, at in means}
             if shares := scan.strips[0].noise_shares(levels):
-                scan.context.measured[NOISE] = shares
+                record.noise_shares = shares
         pixels = sum(strip.shape[0] * strip.shape[1] for strip in scan.strips)
-        notes = describe_loss(scan.context, self._lost, pixels)
+        notes: list[Finding | str] = [*describe_loss(scan.context, self._lost, pixels)]
         if (projection := self._projecting) is not None:
             notes.append(describe_removed(projection.subspace, projection.removed, projection.most))
-        with placing(scan.context.sensor.object):
-            require_light(self._above, labels)
-        return [*notes, *describe_above(self._above, labels)]
+        return [*notes, *findings_of_counts(self._above, labels)]
 
 
 class Pictures:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.sensor_context import by_exposure, placed
+from levkas.calibration.sensor import by_exposure, placed
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.cube import UNRELIABLE, Flag, is_flagged
 from levkas.core.problems import Problem
@@ -25,7 +25,7 @@ from levkas.stages.scan_templates import block_lines
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from levkas.calibration.sensor_context import SensorContext
+    from levkas.calibration.sensor import SensorCapture
     from levkas.stages.scan_lines import Strip
     from levkas.stages.scan_templates import ScanTemplates
 
@@ -67,7 +67,7 @@ def place_strips(strips: Sequence[Strip]) -> tuple[Placement, list[str]]:
             f"(shift {joint['offset_px'][1]:.2f} lines, ± {joint['error_px']:.2f} px)"
         )
         left = right
-    context.measured["strips"] = joints
+    context.record.strips = joints
     return Placement(places, (width, lines)), notes
 
 
@@ -212,7 +212,7 @@ def _named(
     )
 
 
-def require_one_time(context: SensorContext, templates: ScanTemplates) -> None:
+def require_one_time(context: SensorCapture, templates: ScanTemplates) -> None:
     """Refuse strips of several exposures where there is no white: their counts cannot be joined."""
     strips = by_exposure(context.sensor.object)
     if templates.white is None and len(strips) > 1 and not context.holds_reflectance:

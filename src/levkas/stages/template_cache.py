@@ -6,15 +6,17 @@ import hashlib
 import zipfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from levkas.calibration.summary import Summary
 from levkas.calibration.templates import DarkFit, ShotLevels, Template
 from levkas.campaign.discovery.captures import FrameRef
 from levkas.core.files import make_folder, remove, replacing
 from levkas.stages.sources import made_with
 
+Made = TypeVar("Made", Template, Summary)
 Digests = Callable[[Path], Mapping[Path, str]]
 
 
@@ -47,25 +49,42 @@ class TemplateCache:
         level: np.ndarray | float | None = None,
         **parameters: object,
     ) -> Template:
-        """Return the template of some frames above a level without light, from the templates or by `average`.
+        """Return the template of some frames above a level without light, as it is kept or by `average`."""
+        known = {**parameters, "level": _digest(level)}
+        return self._kept(frames, repr(sorted(known.items())), average, (_write, _read))
 
-        Frames that serve one object alone are not kept. A file that was damaged on the disk fails its checksum and is averaged anew.
+    def summary(self, frame: FrameRef, make: Callable[[], Summary]) -> Summary:
+        """Return the summary of a frame, as it is kept or by `make`."""
+        return self._kept([frame], "summary", make, (_write_summary, _read_summary))
+
+    def _kept(
+        self,
+        frames: Sequence[FrameRef],
+        what: str,
+        make: Callable[[], Made],
+        files: tuple[Callable[[Any, Made], None], Callable[[Any], Made]],
+    ) -> Made:
+        """Return what is kept of some frames, else make and keep it, but of frames that serve one object alone.
+
+        A file that was damaged on the disk fails its checksum and is made anew.
         """
         if self.digests is None or all(frame.object for frame in frames):
-            return average()
-        known = {**parameters, "level": _digest(level)}
-        digest = hashlib.sha256(repr((sorted(known.items()), made_with())).encode())
+            return make()
+        digest = hashlib.sha256(repr((what, made_with())).encode())
         for frame in frames:
             content = [*self.digests(frame.path).values()]
-            digest.update(f"{content}:{frame.page}:{frame.exposure_s};".encode())
+            digest.update(f"{content}:{frame.page}:{frame.order}:{frame.exposure_s};".encode())
         path = self.folder / f"{digest.hexdigest()[:24]}.npz"
         self.used.add(path.name)
+        write, read = files
         try:
-            return _read(path)
+            with np.load(path, allow_pickle=False) as stored:
+                return read(stored)
         except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-            made = average()
+            made = make()
         make_folder(self.folder)
-        _write(path, made)
+        with replacing(path) as handle:
+            write(handle, made)
         return made
 
     def remove_all_but(self, names: Collection[str]) -> None:
@@ -81,49 +100,63 @@ def _digest(level: np.ndarray | float | None) -> str:
     )
 
 
-def _read(path: Path) -> Template:
-    with np.load(path, allow_pickle=False) as stored:
-        variance = stored["variance"]
-        exposure, times = float(stored["exposure_s"]), stored["times_s"]
-        levels, error = stored["levels"], stored["level_error"]
-        differing, apart = tuple(stored["differing"].tolist()), float(stored["apart"])
-        moments = tuple(times.tolist()) if times.size else None
-        shots = ShotLevels(levels, error, moments, differing, apart)
-        fit = None
-        if "fit_variance" in stored:
-            noise, zeros, *blacks = stored["fit"].tolist()
-            fit = DarkFit(stored["fit_variance"], tuple(blacks), noise, zeros)
-        return Template(
-            mean=stored["mean"],
-            variance=variance if variance.size else None,
-            count=int(stored["count"]),
-            saturated=stored["saturated"],
-            black=stored["black"],
-            exposure_s=None if np.isnan(exposure) else exposure,
-            fit=fit,
-            shots=shots if levels.size else None,
-        )
+def _read(stored: Any) -> Template:
+    variance = stored["variance"]
+    exposure, times = float(stored["exposure_s"]), stored["times_s"]
+    levels, error = stored["levels"], stored["level_error"]
+    differing, apart = tuple(stored["differing"].tolist()), float(stored["apart"])
+    moments = tuple(times.tolist()) if times.size else None
+    shots = ShotLevels(levels, error, moments, differing, apart)
+    fit = None
+    if "fit_variance" in stored:
+        noise, zeros, *blacks = stored["fit"].tolist()
+        fit = DarkFit(stored["fit_variance"], tuple(blacks), noise, zeros)
+    return Template(
+        mean=stored["mean"],
+        variance=variance if variance.size else None,
+        count=int(stored["count"]),
+        saturated=stored["saturated"],
+        black=stored["black"],
+        exposure_s=None if np.isnan(exposure) else exposure,
+        fit=fit,
+        shots=shots if levels.size else None,
+    )
 
 
-def _write(path: Path, template: Template) -> None:
+def _write(handle: Any, template: Template) -> None:
     more: dict[str, Any] = {}
     if (fit := template.fit) is not None:
         more = {"fit_variance": fit.variance, "fit": [fit.noise, fit.zeros, *fit.blacks]}
     none = np.zeros((0, 0))
     shots = template.shots or ShotLevels(none, none[0:0].ravel())
-    with replacing(path) as handle:
-        np.savez(
-            handle,
-            mean=template.mean,
-            variance=np.zeros(0, np.float32) if template.variance is None else template.variance,
-            count=template.count,
-            saturated=template.saturated,
-            black=template.black,
-            exposure_s=np.nan if template.exposure_s is None else template.exposure_s,
-            levels=shots.levels,
-            level_error=shots.error,
-            times_s=np.array(shots.times_s or ()),
-            differing=np.array(shots.differing, int),
-            apart=shots.apart,
-            **more,
-        )
+    np.savez(
+        handle,
+        mean=template.mean,
+        variance=np.zeros(0, np.float32) if template.variance is None else template.variance,
+        count=template.count,
+        saturated=template.saturated,
+        black=template.black,
+        exposure_s=np.nan if template.exposure_s is None else template.exposure_s,
+        levels=shots.levels,
+        level_error=shots.error,
+        times_s=np.array(shots.times_s or ()),
+        differing=np.array(shots.differing, int),
+        apart=shots.apart,
+        **more,
+    )
+
+
+def _read_summary(stored: Any) -> Summary:
+    top, constant = stored["ends"].tolist()
+    same = None if np.isnan(constant) else constant
+    sample, codes = stored["sample"], stored["codes"]
+    return Summary(sample, top, same, codes if codes.size else sample.ravel())
+
+
+def _write_summary(handle: Any, summary: Summary) -> None:
+    constant = np.nan if summary.constant is None else summary.constant
+    ends = np.array([summary.top, constant])
+    same = summary.codes.size == summary.sample.size  # what is in both is kept once
+    np.savez(
+        handle, sample=summary.sample, codes=summary.codes[:0] if same else summary.codes, ends=ends
+    )

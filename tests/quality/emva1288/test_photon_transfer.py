@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.code_spacing import count_codes, find_levels
-from levkas.calibration.drift import CellMeans, measure_drift
+from levkas.calibration.codes import count_codes, find_levels
+from levkas.calibration.lamp import CellMeans, measure_drift
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.templates import CalibrationRefused, average
 from levkas.quality.emva1288.blocks import Blocks, block_statistics

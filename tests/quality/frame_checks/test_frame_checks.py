@@ -12,7 +12,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from levkas.quality.frame_checks import (
-    Finding,
+    FrameFinding,
     FrameMeasures,
     FrameOfSet,
     FramePictures,
@@ -137,7 +137,7 @@ CASES = {
 }  # fmt: skip
 
 
-def judged(case: str, rules: SetRules | None = None) -> dict[str, list[Finding]]:
+def judged(case: str, rules: SetRules | None = None) -> dict[str, list[FrameFinding]]:
     """Return the findings of the good session with a fault; what its frames get is known already to the usual judge."""
     _, name, codes, given = CASES[case]
     faulty = frame(name, good_frames()[name].role, codes(), **given)

@@ -21,7 +21,7 @@ from levkas.campaign.guess.words import are_elements
 from levkas.core.text import counted
 
 if TYPE_CHECKING:
-    from levkas.calibration.full_scale import FullScale
+    from levkas.calibration.codes import FullScale
 
 LISTED = 6
 """Values that a question names."""

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 
-from levkas.calibration.differing_shots import LAMP, Sight, difference_between
-from levkas.calibration.full_scale import SceneShots, find_full_scale
+from levkas.calibration.codes import SceneShots, find_full_scale
 from levkas.calibration.patterns import thin_periods
+from levkas.calibration.sight import LAMP, Sight, difference_between
 from levkas.core.blocks import block_means
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
-    from levkas.calibration.full_scale import FullScale
+    from levkas.calibration.codes import FullScale
     from levkas.campaign.guess.listing import CaptureFile
 
 LARGEST_TILE = 5

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.calibration.drift import Drift, common_variance
+from levkas.calibration.lamp import Drift, common_variance
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.code_spacing import Levels
-from levkas.calibration.sensor_notes import describe_sensor
+from levkas.calibration.codes import Levels
+from levkas.calibration.findings import decide
+from levkas.calibration.record import findings_of
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.quality.emva1288.facts import FrameFacts, describe_frame
@@ -118,7 +119,9 @@ def _report(sensor: SensorStacks, rng: np.random.Generator) -> SensorReport:
             ]
     channel_notes = [note for found in channels.values() for note in found.notes]
     channel_notes += [f"{name}: {drift.note}" for name, drift in sensor.light if drift.note]
-    notes = list(dict.fromkeys([*sensor.notes, *describe_sensor(sensor.bench), *channel_notes]))
+    notes = list(
+        dict.fromkeys([*sensor.notes, *decide(findings_of(sensor.bench.record)), *channel_notes])
+    )
     return SensorReport(
         sensor.camera,
         sensor.name,

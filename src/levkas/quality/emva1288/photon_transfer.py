@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.code_spacing import Levels
+from levkas.calibration.codes import Levels
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem
 from levkas.quality.emva1288.blocks import Blocks

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.clipped_darks import is_clipped
-from levkas.calibration.code_spacing import Levels
-from levkas.calibration.drift import Drift
-from levkas.calibration.sensor_context import SensorContext, exposure_of
+from levkas.calibration.codes import Levels
+from levkas.calibration.lamp import Drift
+from levkas.calibration.sensor import SensorCapture, exposure_of
 from levkas.calibration.templates import Template
 from levkas.quality.emva1288.blocks import Blocks, block_statistics
 from levkas.quality.emva1288.darks import Dark, DarkModel, mean_of
@@ -29,7 +29,7 @@ class SensorStacks:
 
     camera: str
     name: str
-    bench: SensorContext
+    bench: SensorCapture
     levels: Levels = field(default_factory=lambda: Levels(0, 0, 0))
     darks: dict[str, list[Dark]] = field(default_factory=dict)
     whites: dict[str, list[Blocks]] = field(default_factory=dict)
@@ -48,7 +48,7 @@ def by_exposure(frames: Iterable[FrameRef]) -> dict[Key, list[FrameRef]]:
 
 
 def reduce_stack(
-    stack: Template, bench: SensorContext, drift: Drift | None = None, *, dark: bool = False
+    stack: Template, bench: SensorCapture, drift: Drift | None = None, *, dark: bool = False
 ) -> dict[str, Blocks]:
     """Reduce a stack by the camera's channels; a tunable filter has one, whatever the mosaic.
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.agreement import compare_facts
-from levkas.calibration.code_spacing import MOST_CODES, count_codes, find_levels
-from levkas.calibration.drift import CellMeans, measure_drift
-from levkas.calibration.sensor_context import SensorContext, exposure_of
+from levkas.calibration.codes import MOST_CODES, count_codes, find_levels
+from levkas.calibration.lamp import CellMeans, measure_drift
+from levkas.calibration.sensor import exposure_of, open_sensor
 from levkas.calibration.templates import CalibrationRefused, average
 from levkas.core.problems import Problem
 from levkas.quality.emva1288.blocks import Blocks
@@ -24,7 +24,6 @@ from levkas.quality.emva1288.sensor_stacks import (
     put_darks,
     reduce_stack,
 )
-from levkas.readers.frames import read_facts
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,9 +45,7 @@ def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iter
     """
     for number, frames in enumerate(captures[0].sensors):
         objects = [(c.object, c.sensors[number].object) for c in captures]
-        facts = read_facts(frames.object[0].path)
-        # Nothing is kept from one reading to the next: there is no shelf.
-        bench = SensorContext(campaign, campaign.cameras[camera], frames, facts, None)
+        bench = open_sensor(campaign.cameras[camera], frames)
         sensor = SensorStacks(camera, frames.name, bench)
         together = replace(frames, object=tuple(frame for _, taken in objects for frame in taken))
         sensor.notes += compare_facts(bench.camera, together, bench.alignments)

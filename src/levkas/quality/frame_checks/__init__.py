@@ -5,11 +5,11 @@ reads a file: a program that receives frames hands in their values.
 """
 
 from levkas.quality.frame_checks.judging import FrameJudge, FrameOfSet, SetRules, judge
-from levkas.quality.frame_checks.light_checks import Finding, Severity, worst
+from levkas.quality.frame_checks.light_checks import FrameFinding, Severity, worst
 from levkas.quality.frame_checks.measures import FrameMeasures, FramePictures, measure_frame
 
 __all__ = [
-    "Finding",
+    "FrameFinding",
     "FrameJudge",
     "FrameMeasures",
     "FrameOfSet",

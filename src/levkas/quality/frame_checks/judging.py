@@ -14,11 +14,11 @@ from functools import cached_property
 
 import numpy as np
 
-from levkas.calibration.differing_shots import SIZES, difference_between
+from levkas.calibration.sight import SIZES, difference_between
 from levkas.campaign.discovery.patterns import natural
 from levkas.quality.frame_checks import light_checks as light
 from levkas.quality.frame_checks import picture_checks as picture
-from levkas.quality.frame_checks.light_checks import SAME_TIME, Finding
+from levkas.quality.frame_checks.light_checks import SAME_TIME, FrameFinding
 from levkas.quality.frame_checks.measures import FrameMeasures
 from levkas.readers.compared_facts import FACTS, ComparedFact, describe_value, read_fact
 from levkas.readers.facts import Facts
@@ -137,9 +137,9 @@ class FrameJudge:
     """The frames of one sensor under one setup; findings of a frame whose companions are the same are kept between calls."""
 
     rules: SetRules = SetRules()
-    _kept: dict[tuple[object, ...], list[Finding]] = field(default_factory=dict)
+    _kept: dict[tuple[object, ...], list[FrameFinding]] = field(default_factory=dict)
 
-    def judge(self, frames: Iterable[FrameOfSet]) -> dict[str, list[Finding]]:
+    def judge(self, frames: Iterable[FrameOfSet]) -> dict[str, list[FrameFinding]]:
         """Return the findings of every frame by its name, in the order of time."""
         companions = _Companions(sorted(frames, key=lambda f: f.order), self.rules)
         kept, judged = {}, {}
@@ -153,7 +153,9 @@ class FrameJudge:
         return judged
 
 
-def judge(frames: Iterable[FrameOfSet], rules: SetRules = SetRules()) -> dict[str, list[Finding]]:
+def judge(
+    frames: Iterable[FrameOfSet], rules: SetRules = SetRules()
+) -> dict[str, list[FrameFinding]]:
     """Return the findings of the frames of one sensor under one setup, by name; `FrameJudge` does it again and again.
 
     Examples
@@ -385,14 +387,14 @@ def _usual_settings(frames: Sequence[FrameOfSet]) -> Mapping[ComparedFact, dict[
     return usual
 
 
-def _findings_alone(frame: FrameOfSet, companions: _Companions) -> list[Finding]:
+def _findings_alone(frame: FrameOfSet, companions: _Companions) -> list[FrameFinding]:
     """Return what is wrong with the light of a frame by itself."""
     own, black, rules = frame.measures, companions.black, companions.rules
     if rules.plain:
         return []
     if frame.role == "dark":
         return light.check_dark(own, black=frame.black, scale=companions.scale)
-    found: list[Finding] = []
+    found: list[FrameFinding] = []
     if not (rules.brackets and frame.role != "white"):
         found += light.check_exposure(
             own, frame.role, frame.names, black=black, full=frame.full, exposure_s=frame.exposure_s
@@ -400,13 +402,13 @@ def _findings_alone(frame: FrameOfSet, companions: _Companions) -> list[Finding]
     return found + (light.check_white_frame(own, black=black) if frame.role == "white" else [])
 
 
-def _findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Finding]:
+def _findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[FrameFinding]:
     """Return what is wrong with one frame, the gravest first."""
     found = [] if rules.plain else [*_settings(frame, beside, rules)]
     if beside.twin is not None and frame.measures.high.max() > frame.measures.low.min():
         text = f"the same picture as {beside.twin.name}"
         found.append(
-            Finding("twice", "look", text, "remove one, or capture the frame that is missing")
+            FrameFinding("twice", "look", text, "remove one, or capture the frame that is missing")
         )
     elif frame.role == "dark":
         before = beside.before.measures if beside.before else None
@@ -421,7 +423,7 @@ def _findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Findi
     return sorted(found, key=lambda f: f.severity != "stop")
 
 
-def _unlike(frame: FrameOfSet, beside: _Beside) -> list[Finding]:
+def _unlike(frame: FrameOfSet, beside: _Beside) -> list[FrameFinding]:
     """Return what a build refuses a shot for that is not the first of its stack."""
     first, own = beside.first, frame.measures.sight
     if first is None or first is frame:
@@ -432,13 +434,15 @@ def _unlike(frame: FrameOfSet, beside: _Beside) -> list[Finding]:
     text = f"it differs from {first.name} in {found[0]}: {SIZES[found[0]].format(found[1])}"
     check = "moved" if found[0] in ("scene", "place") else "drift"
     return [
-        Finding(check, "stop", text, "repeat the stack from the first shot, with nothing changed")
+        FrameFinding(
+            check, "stop", text, "repeat the stack from the first shot, with nothing changed"
+        )
     ]
 
 
-def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Finding]:
+def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[FrameFinding]:
     black, own = beside.black, frame.measures
-    found: list[Finding] = []
+    found: list[FrameFinding] = []
     if not (rules.brackets and frame.role != "white"):
         found += light.check_exposure(
             own, frame.role, frame.names, black=black, full=frame.full, exposure_s=frame.exposure_s
@@ -467,7 +471,7 @@ def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[F
     return found
 
 
-def _white_findings(frame: FrameOfSet, beside: _Beside) -> list[Finding]:
+def _white_findings(frame: FrameOfSet, beside: _Beside) -> list[FrameFinding]:
     black, own = beside.black, frame.measures
     before = beside.before.measures if beside.before else None
     scene = beside.scene.measures if beside.scene else None
@@ -481,26 +485,30 @@ def _white_findings(frame: FrameOfSet, beside: _Beside) -> list[Finding]:
     return found + light.check_noise(own, _measures(beside.like), black)
 
 
-def _settings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> Iterable[Finding]:
+def _settings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> Iterable[FrameFinding]:
     """Yield where a frame's file states otherwise than most of its set, or has another size."""
     size = _size(frame, rules)
     if beside.size is not None and size != beside.size:
         own, other = (" x ".join(map(str, one)) for one in (size, beside.size))
         text = f"the frame is {own} px, the others are {other} px"
-        yield Finding("settings", "stop", text, "set the camera's size and format back, and repeat")
+        yield FrameFinding(
+            "settings", "stop", text, "set the camera's size and format back, and repeat"
+        )
     for one in beside.settings:
         own, other = (describe_value(one.fact, value) for value in (one.value, one.usual.value))
         others = " and most others" if one.usual.prevails else ""
         text = f"{one.fact.title}: {own}, but {other} in {one.usual.first.name}{others}"
         if one.refused:
-            yield Finding("settings", "stop", text, "set the camera back, and repeat the frame")
+            yield FrameFinding(
+                "settings", "stop", text, "set the camera back, and repeat the frame"
+            )
         else:
             advice = "if it is meant, capture darks and whites with it as well"
             if not one.in_codes:
                 advice = (
                     "set it back, and check the other settings: it changes no value of a raw frame"
                 )
-            yield Finding("settings", "look", text, advice)
+            yield FrameFinding("settings", "look", text, advice)
 
 
 def _size(frame: FrameOfSet, rules: SetRules) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from levkas.calibration.drift import measure_light
+from levkas.calibration.lamp import measure_light
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.calibration.white_area import LEAST, find_white_area
 from levkas.calibration.whites import check_white
@@ -45,7 +45,7 @@ SAME_TIME = 1.1
 
 
 @dataclass(frozen=True)
-class Finding:
+class FrameFinding:
     """One thing that is wrong with a frame.
 
     Parameters
@@ -69,10 +69,10 @@ class Finding:
         return dict(vars(self))
 
 
-def worst(findings: Sequence[Finding]) -> str:
+def worst(findings: Sequence[FrameFinding]) -> str:
     """Return ``"green"``, ``"look"`` or ``"stop"``.
 
-    >>> worst([]), worst([Finding("noise", "look", "", ""), Finding("white", "stop", "", "")])
+    >>> worst([]), worst([FrameFinding("noise", "look", "", ""), FrameFinding("white", "stop", "", "")])
     ('green', 'stop')
     """
     return next((s for s in ("stop", "look") if any(f.severity == s for f in findings)), "green")
@@ -101,7 +101,7 @@ def check_exposure(
     black: float,
     full: float | None,
     exposure_s: float | None = None,
-) -> list[Finding]:
+) -> list[FrameFinding]:
     """Check how much of the scale, from `black` to `full` counts, a white, object or chart uses; `names` are its channels'."""
     worst_one = int(frame.full_share.argmax())
     share = float(frame.full_share[worst_one])
@@ -111,7 +111,7 @@ def check_exposure(
     if (severity := graded(share, limits)) is not None:
         factor = 0.5 if share > 0.05 else 0.7
         return [
-            Finding(
+            FrameFinding(
                 "exposure",
                 severity,
                 f"{percent(share)} of the {role} is at full scale{where}",
@@ -125,13 +125,15 @@ def check_exposure(
     factor = GOAL / max(brightest, 1e-6)
     if role == "white" and brightest > NEAR_FULL:
         text = f"the white reaches {percent(brightest)} of the full scale: a lamp that brightens clips it"
-        return [Finding("exposure", "look", text, f"capture it again: {times(factor, exposure_s)}")]
+        return [
+            FrameFinding("exposure", "look", text, f"capture it again: {times(factor, exposure_s)}")
+        ]
     if brightest < (DIM_WHITE if role == "white" else DIM_OBJECT):
         text = f"the {role} uses {percent(max(brightest, 0))} of the scale, so noise is large"
         advice = "check the lamp, the shutter and the lens cap"
         if brightest > 0.002:
             advice = f"{times(factor, exposure_s)}, or check the lamp"
-        return [Finding("exposure", "look", text, advice)]
+        return [FrameFinding("exposure", "look", text, advice)]
     return []
 
 
@@ -150,7 +152,7 @@ def check_dark(
     black: float | None,
     scale: float | None,
     before: FrameMeasures | None = None,
-) -> list[Finding]:
+) -> list[FrameFinding]:
     """Check that a dark is dark, even, and as the one `before` it of the same time; `black` and `scale`, counts, are stated."""
     level = float(np.median(dark.level))
     noise = max(float(np.nanmedian(dark.noise)), QUIET_COUNTS)
@@ -162,24 +164,24 @@ def check_dark(
     if severity is not None and not is_light:
         text = f"the black level is {level:.0f} counts, and {black:.0f} is stated"
         advice = "check ISO, gain and warm-up, or correct `black` in campaign.toml"
-        return [Finding("black", severity, text, advice)]
+        return [FrameFinding("black", severity, text, advice)]
     if severity is not None:
         uneven = lit >= above
         text = f"the dark is not dark: {level:.0f} counts" + f", up to {level + lit:.0f}" * uneven
         advice = "cover the lens, switch the lamp off, and repeat"
         if uneven and severity == "look":
             advice += "; if it stays, it is the sensor's own glow, which the dark takes away"
-        return [Finding("dark", severity, text, advice)]
+        return [FrameFinding("dark", severity, text, advice)]
     if before is not None and before.level.shape == dark.level.shape:
         change = float(np.median(dark.cells.mean((1, 2)) - before.cells.mean((1, 2))))
         if abs(change) > max(BLACK_OFF * (scale or 0.0), NOISES * noise):
             text = f"the black level moved by {change:+.1f} counts since the dark before"
             advice = "let the camera warm up, then repeat the darks and the frames between"
-            return [Finding("black", "look", text, advice)]
+            return [FrameFinding("black", "look", text, advice)]
     return []
 
 
-def check_dark_time(exposure_s: float | None, darks: Sequence[float]) -> list[Finding]:
+def check_dark_time(exposure_s: float | None, darks: Sequence[float]) -> list[FrameFinding]:
     """Check that there is a dark of a frame's exposure, s; where no dark states one, nothing is known."""
     if exposure_s is None or not darks:
         return []
@@ -188,7 +190,7 @@ def check_dark_time(exposure_s: float | None, darks: Sequence[float]) -> list[Fi
     there = ", ".join(f"{t:g}" for t in sorted(set(darks))[:4])
     text = f"there is no dark of {exposure_s:g} s; darks are of {there} s"
     advice = f"capture a dark of {exposure_s:g} s before the camera is moved or cools"
-    return [Finding("dark", "look", text, advice)]
+    return [FrameFinding("dark", "look", text, advice)]
 
 
 def check_white_frame(
@@ -197,7 +199,7 @@ def check_white_frame(
     black: float,
     before: FrameMeasures | None = None,
     scene: FrameMeasures | None = None,
-) -> list[Finding]:
+) -> list[FrameFinding]:
     """Check that a white is lit, smooth, even, as the one `before` it of its band, and free of the object, its `scene`."""
     template = _template(white.picture)
     try:
@@ -205,7 +207,7 @@ def check_white_frame(
     except CalibrationRefused as refused:
         problem = refused.problems[0]
         advice = problem.fix or "capture the white again"
-        return [Finding("white", "stop", f"{problem.message}: {problem.found}", advice)]
+        return [FrameFinding("white", "stop", f"{problem.message}: {problem.found}", advice)]
     if scene is not None and (found := _painting_in(white, scene, black)):
         return [found]
     if (cells := _relative_cells(white, black)) is None:
@@ -217,17 +219,19 @@ def check_white_frame(
         if change > RELIT:
             text = f"the shading of the white changed by {percent(change)} since the white before"
             advice = "check whether a lamp was moved or something stands before it, and repeat"
-            return [Finding("white", "look", text, advice)]
+            return [FrameFinding("white", "look", text, advice)]
         return []
     rough = white_roughness(white, black)
     if (severity := graded(rough, ROUGH)) is not None:
         text = f"the white is not smooth: {percent(rough)} rms about a smooth surface"
         advice = "let the board fill the frame, and take away what stands before it"
-        return [Finding("white", severity, text, advice)]
+        return [FrameFinding("white", severity, text, advice)]
     least = float(np.quantile(cells, 0.02))
     if least < UNEVEN:
         text = f"the white is uneven: its darkest part has {percent(least)} of the middle"
-        return [Finding("white", "look", text, "move the lamps away, or aim them at the far edge")]
+        return [
+            FrameFinding("white", "look", text, "move the lamps away, or aim them at the far edge")
+        ]
     return []
 
 
@@ -247,7 +251,7 @@ def _relative_cells(white: FrameMeasures, black: float) -> np.ndarray | None:
 
 def check_drift(
     white: FrameMeasures, before: FrameMeasures, *, black: float, ratio_of_times: float = 1.0
-) -> list[Finding]:
+) -> list[FrameFinding]:
     """Check how the light of a white changed since the white before, whose exposure is 1/`ratio_of_times` of its."""
     if white.cells.shape != before.cells.shape:
         return []
@@ -257,10 +261,10 @@ def check_drift(
         return []
     text = f"the lamp gives {percent(abs(change - 1))} {'less' if change < 1 else 'more'} than at the white before"
     advice = "let the lamp settle, then capture white and object again"
-    return [Finding("drift", severity, text, advice)]
+    return [FrameFinding("drift", severity, text, advice)]
 
 
-def check_stack(shot: FrameMeasures, first: FrameMeasures, *, black: float) -> list[Finding]:
+def check_stack(shot: FrameMeasures, first: FrameMeasures, *, black: float) -> list[FrameFinding]:
     """Check how the light changed between the first shot of a stack and this one."""
     if shot.cells.shape != first.cells.shape:
         return []
@@ -273,7 +277,9 @@ def check_stack(shot: FrameMeasures, first: FrameMeasures, *, black: float) -> l
     if abs(change - 1) < STACK:
         return []
     text = f"{percent(abs(change - 1))} {'less' if change < 1 else 'more'} light than in the first shot of the stack"
-    return [Finding("drift", "look", text, "wait until the lamp is steady, and repeat the stack")]
+    return [
+        FrameFinding("drift", "look", text, "wait until the lamp is steady, and repeat the stack")
+    ]
 
 
 def noise_ratio(frame: FrameMeasures, others: Sequence[FrameMeasures], black: float) -> float:
@@ -295,7 +301,7 @@ def noise_ratio(frame: FrameMeasures, others: Sequence[FrameMeasures], black: fl
 
 def check_noise(
     frame: FrameMeasures, others: Sequence[FrameMeasures], black: float
-) -> list[Finding]:
+) -> list[FrameFinding]:
     """Check that a frame has the noise of others: darks, whites, or shots of one scene."""
     ratio = noise_ratio(frame, others, black)
     if 1 / NOISIER <= ratio <= NOISIER:
@@ -303,10 +309,10 @@ def check_noise(
     root = float(np.sqrt(ratio))
     if ratio > 1:
         advice = "check ISO and gain, the camera's temperature, and light that flickers"
-        return [Finding("noise", "look", f"{root:.1f} times the camera's noise", advice)]
+        return [FrameFinding("noise", "look", f"{root:.1f} times the camera's noise", advice)]
     text = f"only {root:.1f} times the camera's noise"
     advice = "switch noise reduction off in the camera or in the tethering program"
-    return [Finding("noise", "look", text, advice)]
+    return [FrameFinding("noise", "look", text, advice)]
 
 
 def _per_light(frame: FrameMeasures, black: float) -> np.ndarray:
@@ -314,7 +320,7 @@ def _per_light(frame: FrameMeasures, black: float) -> np.ndarray:
     return np.asarray(frame.noise**2 / np.where(dim, 1.0, frame.level - black))
 
 
-def _painting_in(white: FrameMeasures, scene: FrameMeasures, black: float) -> Finding | None:
+def _painting_in(white: FrameMeasures, scene: FrameMeasures, black: float) -> FrameFinding | None:
     """Return the finding of a white that shows the object."""
     import cv2
 
@@ -328,14 +334,14 @@ def _painting_in(white: FrameMeasures, scene: FrameMeasures, black: float) -> Fi
         area = find_white_area(_template(scene.picture), _template(small), (level, level))
     except CalibrationRefused as refused:
         problem = refused.problems[0]
-        return Finding("white", "stop", f"{problem.message}: {problem.found}", advice)
+        return FrameFinding("white", "stop", f"{problem.message}: {problem.found}", advice)
     if area.uncovered is None:
         return None
     share = float(area.uncovered.mean())
     if share < LEAST:
         return None
     severity = graded(share, SHOWN)
-    return Finding(
+    return FrameFinding(
         "white", severity or "look", f"{percent(share)} of the white shows the object", advice
     )
 

@@ -14,7 +14,8 @@ from io import BytesIO
 
 import numpy as np
 
-from levkas.calibration.differing_shots import (
+from levkas.calibration.patterns import channel_names, channel_table, split
+from levkas.calibration.sight import (
     PATCH,
     PICTURE,
     SAMPLE,
@@ -24,7 +25,6 @@ from levkas.calibration.differing_shots import (
     picture_of,
     reduced,
 )
-from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.quality.image_quality.sharpness import edge_blur, middle_of
 
 ROWS, COLUMNS = 12, 16

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from levkas.calibration.differing_shots import shift_between
+from levkas.calibration.sight import shift_between
 from levkas.quality.frame_checks.light_checks import (
     ROUGH,
-    Finding,
+    FrameFinding,
     graded,
     percent,
     white_roughness,
@@ -39,7 +39,7 @@ def check_focus(
     before: FrameMeasures | None = None,
     *,
     same_scene: bool = True,
-) -> list[Finding]:
+) -> list[FrameFinding]:
     """Check the focus against the sharpest frame of its camera: of the same object, band and exposure where there are others.
 
     `before` is the shot before it of these: it tells whether the focus runs away or comes back.
@@ -54,7 +54,7 @@ def check_focus(
             step = left - float(np.nan_to_num(before.fine)) / float(best.fine)
             way = _way(-step, DETAIL_STEP)
         text = f"{percent(max(left, 0))} of the fine detail of the sharpest shot is left{way}"
-        return [Finding("focus", severity, text, "focus again at this band, and repeat")]
+        return [FrameFinding("focus", severity, text, "focus again at this band, and repeat")]
     blur, least = float(frame.blur_px), float(best.blur_px)
     apart = LEAST_BLUR if same_scene else UNLIKE_BLUR
     if not (np.isfinite(blur) and np.isfinite(least)) or blur < least + apart:
@@ -66,7 +66,7 @@ def check_focus(
     if before is not None and np.isfinite(before.blur_px):
         way = _way(blur - float(before.blur_px), BLUR_STEP)
     text = f"edges are blurred by {blur:.1f} px, {least:.1f} px in the sharpest frame{way}"
-    return [Finding("focus", severity, text, "focus again at this band, and repeat")]
+    return [FrameFinding("focus", severity, text, "focus again at this band, and repeat")]
 
 
 def _way(worse: float, least: float) -> str:
@@ -77,7 +77,7 @@ def _way(worse: float, least: float) -> str:
 
 def check_moved(
     frame: FrameMeasures, other: FrameMeasures, *, same_band: bool, full: float | None = None
-) -> list[Finding]:
+) -> list[FrameFinding]:
     """Check whether camera or object moved since another frame of the same scene."""
     shift = shift_between(frame.sight, other.sight, full)
     if shift is None:
@@ -91,12 +91,12 @@ def check_moved(
     what = "the shot before" if same_band else "the band before"
     text = f"the picture moved by {distance:.1f} px against {what}"
     advice = "check tripod, stage and table, and repeat from the first shot"
-    return [Finding("moved", severity, text, advice)]
+    return [FrameFinding("moved", severity, text, advice)]
 
 
 def check_glare(
     frame: FrameMeasures, white: FrameMeasures, *, black: float, ratio_of_times: float = 1.0
-) -> list[Finding]:
+) -> list[FrameFinding]:
     """Check how much of an object is brighter than the white, whose exposure is 1/`ratio_of_times` of its.
 
     A white that is a picture of something shows no glare: it is named itself.
@@ -117,7 +117,7 @@ def check_glare(
     if share > OTHER_LIGHT:
         text = f"{percent(share)} of the picture is brighter than the white: the white has other light or exposure"
         advice = "capture a white under this light and with this exposure"
-        return [Finding("white", "stop", text, advice)]
+        return [FrameFinding("white", "stop", text, advice)]
     text = f"{percent(share)} of the picture is brighter than the white: glare"
     advice = "move the lamps further to the side, or shade what they mirror in; for gold it may be all right"
-    return [Finding("glare", severity, text, advice)]
+    return [FrameFinding("glare", severity, text, advice)]

@@ -26,7 +26,7 @@ from levkas.campaign.schema.tables import Document
 from levkas.core.digests import Stamp, stamp_of
 from levkas.core.problems import Refused
 from levkas.core.text import missing_path
-from levkas.quality.frame_checks import Finding
+from levkas.quality.frame_checks import FrameFinding
 from levkas.readers.frames import ALONE, files_of
 
 REST_S, OLD_S = 0.5, 10.0
@@ -80,7 +80,7 @@ class FrameState:
     file : WatchedFile
     verdict : {"green", "look", "stop", "waiting"}
         Waiting while it is being written.
-    findings : tuple of Finding
+    findings : tuple of FrameFinding
     at : float
         s, on the clock that orders the frames of its camera.
     exposure_s : float, optional
@@ -90,7 +90,7 @@ class FrameState:
 
     file: WatchedFile
     verdict: str
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[FrameFinding, ...] = ()
     at: float = 0.0
     exposure_s: float | None = None
     size: tuple[int, ...] = ()

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from levkas.building.hashes import HASHES, Hashes, session_folder
-from levkas.calibration.full_scale import stated_full_scale
+from levkas.calibration.codes import stated_full_scale
 from levkas.campaign.campaign import Camera, Campaign
 from levkas.campaign.discovery.patterns import natural
 from levkas.core.digests import Stamp, stamp_of
@@ -28,7 +28,7 @@ from levkas.core.internal_errors import InternalError
 from levkas.core.problems import Refused
 from levkas.planning.loading import load_setup
 from levkas.quality.frame_checks import (
-    Finding,
+    FrameFinding,
     FrameJudge,
     FrameMeasures,
     FrameOfSet,
@@ -120,7 +120,7 @@ class _Known:
     """The frame as it is judged, and what it was made of: the same one is not judged again."""
 
 
-_Found = tuple[dict[Path, list[Finding]], dict[Path, float]]
+_Found = tuple[dict[Path, list[FrameFinding]], dict[Path, float]]
 """Findings and moments of frames."""
 
 
@@ -338,7 +338,7 @@ class WatchedSession:
             known = self._known.get(path)
             if known is not None and known.measures is not None and self._is_read(path):
                 groups.setdefault((file.camera, file.setup, file.sensor), {})[path] = file
-        found: dict[Path, list[Finding]] = {}
+        found: dict[Path, list[FrameFinding]] = {}
         moments: dict[Path, float] = {}
         for key, files in groups.items():
             camera = campaign.cameras[key[0]]
@@ -381,7 +381,7 @@ class WatchedSession:
     def _shown(
         self,
         file: WatchedFile,
-        findings: Mapping[Path, list[Finding]],
+        findings: Mapping[Path, list[FrameFinding]],
         moments: Mapping[Path, float],
     ) -> FrameState:
         known = self._known.get(file.path)
@@ -393,7 +393,7 @@ class WatchedSession:
             return FrameState(file, "waiting", exposure_s=file.exposure_s)
         if known.measures is None or known.facts is None:
             advice = "capture it again, or copy it again from the camera's card"
-            broken = Finding("file", "stop", f"the file is not whole: {known.refused}", advice)
+            broken = FrameFinding("file", "stop", f"the file is not whole: {known.refused}", advice)
             return FrameState(file, "stop", (broken,), exposure_s=file.exposure_s)
         own, at = findings.get(file.path, []), moments.get(file.path, 0.0)
         exposure_s = file.exposure_s or known.facts.exposure_s

@@ -1,25 +1,23 @@
-"""Lamp drift: how bright each shot of a stack is, and how well the lamp is known between white and object.
+"""The lamp: how bright each shot of a stack is, shots at one level, and how well the light is known between white and object.
 
 Shot k of a stack has x_k = D + s_k · L + noise, with the light s_k of the lamp over the mean of all shots. It is
 measured in cells: s_k is the median over cells of their ratios to the stack's mean, so that something that moved in a
 part of the picture does not count. A straight line through it is drift, what is left is flicker. Darks differ by an
-offset instead, x_k = D + o_k + noise.
+offset instead, x_k = D + o_k + noise. What only a part of a shot of a white has, or none of its light, is no lamp.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.differing_shots import (
-    STEADY,
-    find_differing_shots,
-    watch_shots,
-)
+from levkas.calibration.findings import CalibrationRefused, Finding
 from levkas.calibration.patterns import split
+from levkas.calibration.sight import SIZES, watch_shots
 from levkas.calibration.templates import ShotLevels, Template, average, level_of
 
 CELL, CELLS = 32, 8  # pixels a side of a cell, of one phase; cells a side that a small frame has
@@ -31,16 +29,19 @@ DIM = 0.02  # of the brightest cells: darker ones hold noise alone
 EXPLAINED = (
     0.01  # of the variance of bright pixels over time: beyond it shots are brought to one level
 )
-LAMP = "lamp"
-"""Among what is measured of a sensor: how its lamp and its black level changed, band by band."""
 SAMPLE = 200_000  # pixels of a channel that are looked at
 LONG = 10.0  # times its change within a stack: lamps settle, and what one did in a second shows little of a day
 GROUPS = 8
 """Of neighbouring bands whose lamp is alike: lamps change smoothly over the spectrum. Of a lamp that sinks by 0.2 % within 40
 lines, 580 bands of 0.1 to 2 % noise, the rms error of Δ is 0.11 %; 0.07 % with 4 groups, 0.12 % with 16. With every band by
 itself noise passed for a change in 6 of 30 steady scans."""
-FEWEST = 5
-"""Lines of a white that show anything: the scatter of fewer is known too badly to separate a change from flicker."""
+FEWEST = 5  # lines of a white that show anything: the scatter of fewer is known too badly
+STEADY = (0.7, 1.4)  # least and greatest light of a shot that is a lamp's
+LOCAL, CERTAIN = (
+    0.03,
+    8.0,
+)  # of the light of a cell: lamps do less; of the noise of cells: one of 10^9 is beyond it
+CONTRADICTED = 0.1  # of the light of a cell: the mean of two whites is then wrong by as much
 
 
 # --- the light of each shot ---------------------------------------------------------------------
@@ -48,15 +49,8 @@ FEWEST = 5
 
 @dataclass
 class CellMeans:
-    """Means of the cells of each shot of a stack, filled while frames pass by.
+    """Means of the cells of each shot of a stack, filled while frames pass by; a cell holds one phase of a mosaic of `period`.
 
-    Parameters
-    ----------
-    period : (rows, columns)
-        Of a mosaic: a cell holds one phase.
-
-    Examples
-    --------
     >>> light = CellMeans()
     >>> frames = [np.full((512, 512), level) for level in (100, 101)]
     >>> sum(1 for _ in light.watch(frames)), light.channels.shape, light.cells.shape
@@ -106,17 +100,8 @@ def cell_means(frame: np.ndarray, period: tuple[int, int] = (1, 1)) -> np.ndarra
 
 
 def measure_light(cells: np.ndarray, dark: np.ndarray | float = 0.0) -> ShotLevels:
-    """Compare the light of the shots of one scene, channel by channel.
+    """Compare the light of the shots of one scene, channel by channel: cells (shots, channels, cells) over counts without light.
 
-    Parameters
-    ----------
-    cells : ndarray, (shots, channels, cells)
-        Mean counts, from `CellMeans`.
-    dark : ndarray, (channels, cells), or float
-        Counts without light.
-
-    Examples
-    --------
     >>> cells = np.outer([0.99, 1.01], np.linspace(50, 900, 40))[:, None] + 64
     >>> measure_light(cells, 64.0).levels.round(3).tolist()
     [[0.99], [1.01]]
@@ -165,18 +150,9 @@ def _levels(values: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]
 
 @dataclass(frozen=True)
 class Drift:
-    """How steady the light was.
+    """How steady the light was: brightness of each shot over the mean of all, and relative change along a line from first to last.
 
-    Parameters
-    ----------
-    scales : ndarray, (shots,)
-        Brightness of each shot over the mean of all.
-    drift : float
-        Change along a straight line from the first shot to the last, relative.
-    flicker : float
-        Standard deviation about that line, relative; NaN with fewer than three shots.
-    error : float
-        What noise alone puts on a single scale.
+    `flicker` is the standard deviation about that line, NaN with fewer than three shots; `error` what noise puts on a scale.
     """
 
     scales: np.ndarray
@@ -202,22 +178,8 @@ class Drift:
 
 
 def measure_drift(cells: np.ndarray, dark: float | np.ndarray = 0.0) -> Drift | None:
-    """Compare the shots of one scene.
+    """Compare the shots of one scene, (shots, cells) in their order; None of fewer than two, or without light.
 
-    Parameters
-    ----------
-    cells : ndarray, (shots, cells)
-        Mean counts, from `CellMeans`; in the order in which they were taken.
-    dark : float or ndarray, (cells,)
-        Counts without light.
-
-    Returns
-    -------
-    drift : Drift or None
-        None with fewer than two shots or without light.
-
-    Examples
-    --------
     >>> cells = np.outer([1.00, 1.01, 1.02], np.linspace(50, 900, 40)) + 64
     >>> found = measure_drift(cells, 64.0)
     >>> round(found.drift, 3), found.noticed
@@ -226,8 +188,12 @@ def measure_drift(cells: np.ndarray, dark: float | np.ndarray = 0.0) -> Drift | 
     found = measure_light(np.asarray(cells, float)[:, None], dark)
     if len(cells) < 2 or not np.isfinite(found.error[0]):
         return None
-    scales = found.levels[:, 0]
-    return Drift(scales, *_line(scales), float(found.error[0]))
+    scales, count = found.levels[:, 0], len(cells)
+    at = np.arange(count) - (count - 1) / 2
+    slope = float(at @ scales / (at @ at))
+    rest = scales - scales.mean() - slope * at
+    flicker = float(np.sqrt(rest @ rest / (count - 2))) if count > 2 else float("nan")
+    return Drift(scales, slope * (count - 1), flicker, float(found.error[0]))
 
 
 def common_variance(scales: Sequence[float] | np.ndarray) -> float:
@@ -237,15 +203,6 @@ def common_variance(scales: Sequence[float] | np.ndarray) -> float:
     0.0002
     """
     return float(np.var(scales, ddof=1)) if len(scales) > 1 else 0.0
-
-
-def _line(scales: np.ndarray) -> tuple[float, float]:
-    count = len(scales)
-    at = np.arange(count) - (count - 1) / 2
-    slope = float(at @ scales / (at @ at))
-    rest = scales - scales.mean() - slope * at
-    flicker = float(np.sqrt(rest @ rest / (count - 2))) if count > 2 else float("nan")
-    return slope * (count - 1), flicker
 
 
 # --- shots at one level -------------------------------------------------------------------------
@@ -262,7 +219,7 @@ def average_steady(
     times_s: Sequence[float] | None = None,
     white: bool = False,
 ) -> Template:
-    """Average shots of one scene without what the lamp does to all pixels alike.
+    """Average shots of one scene without what the lamp does to all pixels alike; the template has its `shots`, and the variance of noise.
 
     Parameters
     ----------
@@ -281,11 +238,6 @@ def average_steady(
         Whether nothing may stand in the scene: by how much its shots differ is in `shots`. Those of an object are
         compared with the first, and its `shots` have what is unlike.
 
-    Returns
-    -------
-    template : Template
-        With its `shots`; `variance` is that of noise.
-
     Examples
     --------
     >>> rng = np.random.default_rng(1)
@@ -299,11 +251,9 @@ def average_steady(
     frames = light.watch(read())
     if level is not None and not white:
         frames = watch_shots(frames, unlike, period, level_of(np.asarray(level)), saturation)
-    clips: dict[str, float | None] = {"saturation": saturation, "black_clip": black_clip}
-    template = average(frames, exposure_s=exposure_s, **clips)
+    template = average(frames, exposure_s=exposure_s, saturation=saturation, black_clip=black_clip)
     channels = light.channels
     differing: tuple[tuple[int, ...], float] = ((), 0.0)
-    moments = times_s if times_s is not None and len(times_s) == template.count else None
     if level is None:
         shots = measure_offsets(channels)
     else:
@@ -312,6 +262,7 @@ def average_steady(
         if white and template.count > 1:
             differing = find_differing_shots(channels - under)
         shots = measure_light(channels, under)
+    moments = times_s if times_s is not None and len(times_s) == template.count else None
     shots = replace(
         shots,
         times_s=None if moments is None else tuple(moments),
@@ -352,10 +303,7 @@ def _channels(array: np.ndarray, period: tuple[int, int]) -> Iterator[np.ndarray
 
 
 def _explained(
-    stack: Template,
-    shots: ShotLevels,
-    level: np.ndarray | None,
-    period: tuple[int, int],
+    stack: Template, shots: ShotLevels, level: np.ndarray | None, period: tuple[int, int]
 ) -> float:
     """Return the share of the variance over time that the lamp explains, in the bright pixels of its worst channel."""
     if stack.variance is None:
@@ -364,9 +312,8 @@ def _explained(
     common = np.var(shots.levels, axis=0, ddof=1) - shots.error**2
     shares = [0.0]
     frames = stack.mean, np.broadcast_to(under, stack.mean.shape), stack.variance
-    for *planes, of_lamp in zip(
-        *(_channels(frame, period) for frame in frames), common, strict=True
-    ):
+    channels = (_channels(frame, period) for frame in frames)
+    for *planes, of_lamp in zip(*channels, common, strict=True):
         step = max(1, int(np.sqrt(planes[0].size / SAMPLE)))
         lit, dark, spread = (plane[::step, ::step].ravel() for plane in planes)
         light = lit - dark
@@ -383,10 +330,7 @@ def _explained(
 
 
 def _steadied(
-    frame: np.ndarray,
-    levels: np.ndarray,
-    level: np.ndarray | None,
-    period: tuple[int, int],
+    frame: np.ndarray, levels: np.ndarray, level: np.ndarray | None, period: tuple[int, int]
 ) -> np.ndarray:
     """Return a shot at the mean level of its stack, float32."""
     steadied = frame.astype(np.float32)
@@ -400,22 +344,80 @@ def _steadied(
     return steadied
 
 
+# --- shots that are none ------------------------------------------------------------------------
+
+
+def find_differing_shots(light: np.ndarray) -> tuple[tuple[int, ...], float]:
+    """Find the shots of a white, (shots, channels, cells) above dark, that show something else than most of them, and by how much.
+
+    Nothing is named where no majority agrees. The size is the largest relative deviation of a cell from the median of all shots, or of
+    a shot with other light; 0 where none stands out of noise.
+
+    >>> rng = np.random.default_rng(1)
+    >>> light = rng.normal(1000, 1, (5, 1, 64)) * np.array([1, 1.01, 1.02, 1.01, 1])[:, None, None]
+    >>> light[3, 0, :9] *= 0.4
+    >>> differing, apart = find_differing_shots(light)
+    >>> differing, round(apart, 1)
+    ((3,), 0.6)
+    """
+    if len(light) < 2:
+        return (), 0.0
+    away = np.max([_away(light[:, k]) for k in range(light.shape[1])], axis=0)
+    found = np.flatnonzero(away > 0)
+    return tuple(found.tolist()) if 2 * len(found) < len(light) else (), float(away.max())
+
+
+def _away(cells: np.ndarray) -> np.ndarray:
+    """Return by how much the light of a shot is no lamp's, or that of a part of it differs from the others, (shots,)."""
+    cells = cells[:, np.isfinite(cells).all(0)]
+    middle = np.median(cells, axis=0)
+    full = np.quantile(middle, 0.98) if middle.size else 0.0
+    if full <= 0:
+        return np.zeros(len(cells))
+    bright = middle > DIM * full
+    middle, ratio = middle[bright], cells[:, bright] / middle[bright]
+    level = np.median(ratio, axis=1)
+    level /= np.median(level)
+    off = (level < STEADY[0]) | (level > STEADY[1])
+    ratio /= np.maximum(level, DIM if off.all() else STEADY[0])[:, None]
+    apart = np.abs(ratio - np.median(ratio, axis=0))
+    noise = 1.4826 * float(np.median(apart)) * np.maximum(np.median(middle) / middle, 1)
+    whole = np.abs(level - 1) * (off & (np.abs(level - 1) > CERTAIN * np.median(noise)))
+    parts = np.where(apart > np.maximum(LOCAL, CERTAIN * noise), apart, 0).max(1)
+    return np.asarray(np.maximum(whole, parts))
+
+
+def require_agreement(shots: ShotLevels | None, names: Sequence[str] = ()) -> None:
+    """Refuse shots that contradict each other, ``E_UNLIKE_SHOTS``; of an object each that is unlike the first, by its file in `names`."""
+    if shots is None:
+        return
+    found = []
+    if shots.apart > CONTRADICTED:
+        which = ", ".join(
+            Path(names[k]).name if names else f"shot {k + 1}" for k in shots.differing[:3]
+        )
+        file = names[shots.differing[0]] if names and shots.differing else None
+        found.append(
+            Finding("unlike_whites", which or "no majority", shots.apart, CONTRADICTED, file)
+        )
+    for shot, what, by in shots.unlike if not found else ():
+        file = names[shot] if names else None
+        found.append(
+            Finding(f"other_{what}", f"shot {shot + 1}: {SIZES[what].format(by)}", by, file=file)
+        )
+    if found:
+        raise CalibrationRefused(*(one.problem() for one in found))
+
+
 # --- between white and object -------------------------------------------------------------------
 
 
 class LampChange(NamedTuple):
     """How far the light of a white is known to be that of an object, channel by channel, relative to the white's mean.
 
-    Parameters
-    ----------
-    sigma : ndarray, (channels,)
-        Standard deviation, which all pixels share.
-    white, shot : ndarray, (channels,)
-        Change from the first shot to the last; NaN of a single one.
-    flicker : ndarray, (channels,)
-        Standard deviation from shot to shot about those lines; NaN with fewer than three shots.
-    reach : float
-        Of a scan: the span from the middle of its white to the object's last line, over the white's; else 0.
+    `sigma` is a standard deviation, which all pixels share; `white` and `shot` the changes from the first shot to the last, NaN of a
+    single one; `flicker` the standard deviation from shot to shot about those lines, NaN with fewer than three. Of a scan
+    `reach` is the span from the middle of its white to the object's last line over the white's, else 0.
     """
 
     sigma: np.ndarray
@@ -427,26 +429,16 @@ class LampChange(NamedTuple):
     def in_groups(self, which: np.ndarray, count: int) -> LampChange:
         """Return means over channels that belong together: `which` group each is of, 0 to `count` − 1."""
         parts = [which == group for group in range(count)]
-        means = [np.array([values[part].mean() for part in parts]) for values in self[:4]]
-        return LampChange(means[0], means[1], means[2], means[3])
+        return LampChange(*(np.array([v[part].mean() for part in parts]) for v in self[:4]))
 
 
 def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
-    """Estimate how the lamp changed between the stacks of a white and of an object.
+    """Estimate how the lamp changed between the stacks of a white and of an object; of darks, how the black level did, counts.
 
-    Parameters
-    ----------
-    white, shot : ShotLevels
-        Of the same channels. Levels of darks give the wander of the black level, in counts.
-
-    Notes
-    -----
     A lamp that changed by Δ within a stack may have changed as much again until the other one: u = |Δ|. Where files
     state when they were captured u = |Δ| √(gap/span), as far as a lamp wanders, between |Δ|/2, which a wandering lamp
     is off by midway between whites, and 10 |Δ|. Flicker f of single shots adds f²/n of each.
 
-    Examples
-    --------
     >>> two = ShotLevels(np.array([[1.02], [0.98]]), np.array([1e-5]))
     >>> one = ShotLevels(np.ones((1, 1)), np.array([1e-5]))
     >>> lamp_between(two, one).sigma.round(3).tolist()
@@ -457,11 +449,10 @@ def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
     freedom = np.array([max(len(one.levels) - 2, 0) for one in stacks])
     squares = sum(n * np.nan_to_num(t.flicker) ** 2 for n, t in zip(freedom, trends, strict=True))
     flicker = np.sqrt(squares / max(int(freedom.sum()), 1))
-    drift = 0.0 * flicker
-    for trend, stack in zip(trends, stacks, strict=True):
-        drift = np.maximum(drift, trend.reach * _reach(stack, white, shot))
+    reaches = [t.reach * _reach(s, white, shot) for t, s in zip(trends, stacks, strict=True)]
+    single = flicker**2 * sum(1 / len(one.levels) for one in stacks)
     return LampChange(
-        np.sqrt(drift**2 + flicker**2 * sum(1 / len(one.levels) for one in stacks)),
+        np.sqrt(np.maximum(*reaches) ** 2 + single),
         trends[0].change,
         trends[1].change,
         flicker if freedom.any() else np.full(len(flicker), np.nan),
@@ -484,28 +475,12 @@ def black_between(dark: ShotLevels, shot: ShotLevels | None = None) -> LampChang
 
 
 def lamp_along(white: ShotLevels, lines: int) -> LampChange:
-    """Estimate how the lamp changed from the white of a push-broom camera to the last line of its object.
+    """Estimate how the lamp changed from the white of a push-broom camera to the last of `lines` lines of its object.
 
-    Parameters
-    ----------
-    white : ShotLevels
-        A line of the white is a shot, a band a channel.
-    lines : int
-        Of the object, captured after the white and each as long in time as one of the white.
+    A line of the white is a shot, a band a channel. u = |Δ| (n/2 + lines)/n, up to 10 |Δ|: lamps settle. Δ is the change of a
+    group of neighbouring bands, where it is beyond what is as rare as four standard deviations (Student's t, by the scatter of the
+    lines). Where it is not, u is what noise leaves open within the white.
 
-    Returns
-    -------
-    change : LampChange
-        `sigma` is that of the last line, of a scan of more than ten whites that of the first ten.
-
-    Notes
-    -----
-    u = |Δ| (n/2 + lines)/n, up to 10 |Δ|: lamps settle. Δ is the change of a group of neighbouring bands, where it is beyond
-    what is as rare as four standard deviations (Student's t, by the scatter of the lines). Where it is not, u is what noise
-    leaves open within the white.
-
-    Examples
-    --------
     >>> rng = np.random.default_rng(1)
     >>> levels = np.linspace(1.001, 0.999, 64)[:, None] * rng.normal(1, 0.0001, (64, 3))
     >>> found = lamp_along(ShotLevels(levels, np.full(3, 0.0001)), 480)
@@ -521,7 +496,12 @@ def lamp_along(white: ShotLevels, lines: int) -> LampChange:
     # As probable by chance as SIGMAS of the normal distribution.
     chance = -float(stdtrit(count - 2, ndtr(-SIGMAS)))
     of_band = np.arange(bands) * min(GROUPS, bands) // bands
-    group = trend_of(_joined(white, of_band))
+    member = of_band[:, None] == np.arange(of_band.max() + 1)
+    weights = member / np.maximum(white.error, 1e-9)[:, None] ** 2
+    total = np.maximum(weights.sum(0), 1e-300)
+    lit = weights.sum(0) > 0
+    levels = np.where(lit, white.levels @ weights / total, 1.0)
+    group = trend_of(ShotLevels(levels, np.where(lit, 1 / np.sqrt(total), np.inf)))
     known = np.abs(group.change) > chance * group.error
     reach = (count / 2 + lines) / count
     drift = np.where(known, np.hypot(group.change, group.error) * min(reach, LONG), group.reach)
@@ -533,16 +513,6 @@ def lamp_along(white: ShotLevels, lines: int) -> LampChange:
         flicker,
         reach,
     )
-
-
-def _joined(stack: ShotLevels, of_band: np.ndarray) -> ShotLevels:
-    """Return the weighted means of the levels of bands that belong together, (shots, groups)."""
-    member = of_band[:, None] == np.arange(of_band.max() + 1)
-    weights = member / np.maximum(stack.error, 1e-9)[:, None] ** 2
-    total = weights.sum(0)
-    some = np.maximum(total, 1e-300)
-    levels = np.where(total > 0, stack.levels @ weights / some, 1.0)
-    return ShotLevels(levels, np.where(total > 0, 1 / np.sqrt(some), np.inf))
 
 
 class Trend(NamedTuple):
@@ -559,13 +529,14 @@ class Trend(NamedTuple):
 
 
 def trend_of(stack: ShotLevels) -> Trend:
-    """Fit a straight line to the levels of a stack, channel by channel."""
+    """Fit a straight line to the levels of a stack, channel by channel, over the times of its shots where these are known."""
     count, channels = stack.levels.shape
     none = np.full(channels, np.nan)
     if count < 2:
         return Trend(none, np.zeros(channels), none, none)
     at, levels = np.arange(count, dtype=float), stack.levels
-    if (times := _times(stack)) is not None:
+    if stack.times_s is not None and np.ptp(stack.times_s) > 0:
+        times = np.array(stack.times_s, float)
         order = np.argsort(times, kind="stable")
         at, levels = times[order], levels[order]
     at = at - at.mean()
@@ -580,13 +551,6 @@ def trend_of(stack: ShotLevels) -> Trend:
         change = np.where(np.abs(change) > SIGMAS * np.sqrt(square) * span / spread, change, 0.0)
         error = np.sqrt(np.maximum(square, noise**2)) * span / spread
     return Trend(change, np.hypot(change, noise * span / spread), flicker, error)
-
-
-def _times(stack: ShotLevels) -> np.ndarray | None:
-    """Return when the shots were captured, (shots,) s; None where that is not known, or the same of all."""
-    if stack.times_s is None or (len(stack.times_s) > 1 and np.ptp(stack.times_s) == 0):
-        return None
-    return np.array(stack.times_s, float)
 
 
 def _reach(stack: ShotLevels, white: ShotLevels, shot: ShotLevels) -> float:

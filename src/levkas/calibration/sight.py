@@ -1,29 +1,19 @@
-"""Shots of a stack that differ by more than noise and lamp.
+"""Shots of one scene compared as small pictures: another scene, another place, other light and another exposure are told apart.
 
-A lamp that changes does so for all pixels alike. What only a part of one shot of a *white* has, or none of its light, is
-no lamp: such whites are refused, and named where most of the others agree.
-A shot of an *object* is compared with the first as a small picture: another scene, another place, other light and another
-exposure are told apart, and none of them is averaged. What moved in a part of the picture is none of these (`motion`).
+None of these is averaged. What moved in a part of the picture is none of them (`motion`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from levkas.calibration.patterns import split
-from levkas.calibration.templates import CalibrationRefused, ShotLevels
-from levkas.core.problems import Problem
 
 DIM = 0.02  # of the brightest cells: darker ones hold noise alone
-LOCAL = 0.03  # of the light of a cell: a lamp that moves or flickers in bands does less
-SIGMAS = 8.0  # of the noise of cells: of 200 shots, 64 cells, 200 bands one in 10^9 is beyond it
-STEADY = (0.7, 1.4)  # least and greatest light of a shot that is a lamp's
-NAMED = 3  # shots that a message names
-CONTRADICTED = 0.1  # of the light of a cell: the mean of two whites is then wrong by as much
+SIGMAS = 8.0  # of noise, from which on light changed
 PICTURE, PATCH, PLACES = 320, 64, (0.2, 0.5, 0.8)
 """Longer side of the small picture, px; side of the patches kept at full size, px of one phase, and where their middles lie."""
 MOST_REDUCED, SAMPLE = 1 << 23, 1 << 19
@@ -53,99 +43,6 @@ SIZES = {
     "exposure": "it has {:.2g} times the counts",
 }
 """In what a shot differs, and by how much."""
-NO_SHOTS = (
-    "Give another scene a name of its own; of a bracket, of several lights, or of shots between which something moved, keep one, "
-    'or state the times of a bracket and write exposures = "merge".'
-)
-
-
-def find_differing_shots(light: np.ndarray) -> tuple[tuple[int, ...], float]:
-    """Find the shots of one scene that show something else than most of them, and by how much.
-
-    Parameters
-    ----------
-    light : ndarray, (shots, channels, cells)
-        Mean counts of the cells above dark, as of `drift.cell_means`.
-
-    Returns
-    -------
-    differing : tuple of int
-        Indices of shots; nothing where no majority agrees.
-    apart : float
-        Largest deviation of a cell of a shot from the median of all, relative, or of all cells of a shot with other light;
-        0 where none stands out of noise.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(1)
-    >>> light = rng.normal(1000, 1, (5, 1, 64)) * np.array([1, 1.01, 1.02, 1.01, 1])[:, None, None]
-    >>> light[3, 0, :9] *= 0.4
-    >>> differing, apart = find_differing_shots(light)
-    >>> differing, round(apart, 1)
-    ((3,), 0.6)
-    """
-    if len(light) < 2:
-        return (), 0.0
-    away = np.array([_away(light[:, k]) for k in range(light.shape[1])]).max(axis=(0, 2))
-    found = np.flatnonzero(away > 0)
-    return tuple(found.tolist()) if 2 * len(found) < len(light) else (), float(away.max())
-
-
-def require_agreement(shots: ShotLevels | None, names: Sequence[str] = ()) -> None:
-    """Refuse shots that contradict each other, ``E_UNLIKE_SHOTS``; of an object each that is unlike the first, by its file in `names`."""
-    if shots is None:
-        return
-    if shots.apart > CONTRADICTED:
-        which = [Path(names[k]).name if names else f"shot {k + 1}" for k in shots.differing[:NAMED]]
-        raise CalibrationRefused(
-            Problem(
-                "E_UNLIKE_SHOTS",
-                "the shots of the white contradict each other",
-                file=names[shots.differing[0]] if names and shots.differing else None,
-                found=f"parts of {len(shots.levels)} shots that differ by up to {100 * shots.apart:.0f} % from the middle of them"
-                + (f": {', '.join(which)}" if which else ""),
-                expected="the same board in every shot",
-                fix="Remove the shots in which something stood before the board, or it had moved, or other light fell.",
-            )
-        )
-    unlike = [
-        Problem(
-            "E_UNLIKE_SHOTS",
-            f"a shot differs from the first of its stack in {what}",
-            file=names[shot] if names else None,
-            field=what,
-            found=f"shot {shot + 1}: {SIZES[what].format(by)}",
-            expected=f"what {names[0] if names else 'shot 1'} shows, with other noise and some per cent of the lamp",
-            fix=NO_SHOTS,
-        )
-        for shot, what, by in shots.unlike
-    ]
-    if unlike:
-        raise CalibrationRefused(*unlike)
-
-
-def _away(cells: np.ndarray) -> np.ndarray:
-    """Return by how much the light of a shot is no lamp's, and that of a part of it differs from the others, (shots, 2)."""
-    found = np.zeros((len(cells), 2))
-    cells = cells[:, np.isfinite(cells).all(0)]
-    middle = np.median(cells, axis=0)
-    bright = middle > DIM * np.quantile(middle, 0.98) if middle.size else np.zeros(0, bool)
-    if not bright.any() or np.quantile(middle, 0.98) <= 0:
-        return found
-    middle = middle[bright]
-    ratio = cells[:, bright] / middle
-    level = np.median(ratio, axis=1)
-    level /= np.median(level)
-    off = (level < STEADY[0]) | (level > STEADY[1])
-    ratio /= np.maximum(level, DIM if off.all() else STEADY[0])[:, None]
-    apart = np.abs(ratio - np.median(ratio, axis=0))
-    noise = 1.4826 * float(np.median(apart)) * np.maximum(np.median(middle) / middle, 1)
-    found[:, 0] = np.abs(level - 1) * (off & (np.abs(level - 1) > SIGMAS * np.median(noise)))
-    found[:, 1] = np.where(apart > np.maximum(LOCAL, SIGMAS * noise), apart, 0).max(1)
-    return found
-
-
-# --- shots of an object -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
