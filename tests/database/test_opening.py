@@ -15,7 +15,7 @@ from levkas.core.rounding import round_sigma
 from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue, write_catalogue
 from levkas.database.credits import Credits
 from levkas.database.layers import Layer, centres_of, write_layer
-from levkas.database.spectral_tiff import read_stiff, write_stiff
+from levkas.database.spectral_tiff import read_stiff
 
 
 def cube_of(bands, *, seed=0, sigma=True, shape=(60, 80)):
@@ -47,14 +47,13 @@ def database(tmp_path_factory):
     return build(tmp_path_factory.mktemp("db"))
 
 
-@pytest.fixture(params=["zarr", "tiff", "bare"])
+@pytest.fixture(params=["zarr", "tiff"])
 def opened(request, database, tmp_path):
-    """The same database with Zarr, without it, and without a catalogue either."""
+    """The same database with Zarr, and without it."""
     if request.param == "zarr":
         return levkas.open(database)
     shutil.copytree(database / "objects", tmp_path / "objects")
-    if request.param == "tiff":
-        shutil.copy(database / "catalogue.csv", tmp_path)
+    shutil.copy(database / "catalogue.csv", tmp_path)
     return levkas.open(tmp_path)
 
 
@@ -173,16 +172,6 @@ def test_a_damaged_catalogue_lists_all_its_faults(tmp_path):
 def test_two_builds_write_the_same_bytes(database, tmp_path, monkeypatch):
     monkeypatch.setenv("LEVKAS_THREADS", "1")
     assert hash_tree(build(tmp_path)) == hash_tree(database)
-
-
-def test_files_of_others_are_opened_too(tmp_path):
-    (tmp_path / "objects" / "x").mkdir(parents=True)
-    write_stiff(
-        tmp_path / "objects/x/x_cam.tif", VIS.values, np.arange(400.0, 721, 40), None, "by hand"
-    )
-    cube = levkas.open(tmp_path)["x"]["cam"]
-    assert cube.band.values.tolist() == VIS.labels
-    assert cube.attrs == {"metadata": "by hand"}
 
 
 def test_a_spectrum_is_read_without_loading_what_only_writing_needs(tmp_path):

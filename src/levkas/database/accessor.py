@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,17 +67,6 @@ class LayerAccessor:
                 "the layer as it was opened, and propagate it"
             )
         return self._beside("sigma")
-
-    @property
-    def preview(self) -> xarray.DataArray:
-        """The published picture of these pixels, sRGB, uint8 (y, x, rgb) or (y, x)."""
-        from PIL import Image
-
-        root, layer = self.place
-        with Image.open(io.BytesIO((root / f"{layer.path}.png").read_bytes())) as picture:
-            pixels = np.asarray(picture)
-        whole = xarray.DataArray(pixels, dims=("y", "x", "rgb")[: pixels.ndim], name="preview")
-        return self._selected(whole, ("y", "x"))
 
     def transform(self, source: str, target: str) -> FrameMap:
         """Return the map between two frames of pixels of the object; of ``grid`` they are the x and y of this array.
@@ -184,36 +172,31 @@ class LayerAccessor:
 
         `light` is a name of `levkas.colour.illuminants` or a spectrum, (wavelengths in nm, powers). `adapted`: the eye is used
         to the light, so that white is white, or sees it beside a D65 display. Raises Refused, ``E_VALUE``, where these are not
-        reflectances of bands through the visible; `preview` shows any layer.
+        reflectances of bands through the visible.
         """
         from levkas.colour.relighting import relight
 
         return _by_pixel(
-            self._array, "rgb", lambda v, nm: relight(v, nm, light, adapted=adapted), [*"rgb"]
+            self._array, lambda v, nm: relight(v, nm, light, adapted=adapted), rgb=[*"rgb"]
         )
 
     def lab(self, light: Light = "D65") -> xarray.DataArray:
-        """Return CIELAB of these pixels under a light, (…, lab), for the 2° observer; NaN where a band has no value.
-
-        Raises Refused as `render` does.
-        """
+        """Return CIELAB of these pixels under a light, (…, lab), for the 2° observer; NaN where a band has no value. Raises Refused as `render`."""
         from levkas.colour.gamut import lab_of
 
-        return _by_pixel(self._array, "lab", lambda v, nm: lab_of(v, nm, light), ["L", "a", "b"])
+        return _by_pixel(self._array, lambda v, nm: lab_of(v, nm, light), lab=[*"Lab"])
 
     def delta_e(self, other: xarray.DataArray, light: Light = "D65") -> xarray.DataArray:
-        """Return the colour difference ΔE2000 of these pixels from others, (…).
+        """Return the colour difference ΔE2000 of these pixels from others, (…). Raises Refused as `render`.
 
         `other`: pixels of another layer or date on the same grid, aligned by x and y; or one spectrum, with ``wavelength``.
-        Raises Refused as `render` does.
         """
         from levkas.colour.gamut import delta_e_2000
 
-        both = xarray.align(self.lab(light), other.levkas.lab(light), join="inner")
-        one, two = xarray.broadcast(*both)
-        dims = [dim for dim in one.dims if dim != "lab"]
-        made = delta_e_2000(*(part.transpose(*dims, "lab").values for part in (one, two)))
-        return xarray.DataArray(made, _places_of(one), dims, "delta_e")
+        both, core = (self.lab(light), other.levkas.lab(light)), [["lab"], ["lab"]]
+        return _named(
+            xarray.apply_ufunc(delta_e_2000, *both, input_core_dims=core, join="inner"), "delta_e"
+        )
 
     def spectral_angle(self, reference: xarray.DataArray) -> xarray.DataArray:
         """Return the angle between each pixel's spectrum and a reference, (…), radians: small where the material is alike.
@@ -225,19 +208,16 @@ class LayerAccessor:
         from levkas.colour.gamut import spectral_angle
 
         spectrum = reference.squeeze(drop=True)
-        spectrum = spectrum.dropna(spectrum.dims[0])
+        spectrum = spectrum.dropna(spectrum.dims[0]).sortby("wavelength")
         known, values = np.asarray(spectrum["wavelength"].values, float), spectrum.values
-        order = np.argsort(known, kind="stable")
 
         def angle(pixels: np.ndarray, nm: np.ndarray) -> np.ndarray:
-            within = (nm >= known.min()) & (nm <= known.max())
+            within = (nm >= known[0]) & (nm <= known[-1])
             if within.sum() < 2:
-                span = f"bands within {known.min():g} to {known.max():g} nm"
-                raise _no_colours(self._array, span)
-            wanted = np.interp(nm[within], known[order], values[order])
-            return spectral_angle(pixels[..., within], wanted)
+                raise _no_colours(self._array, f"bands within {known[0]:g} to {known[-1]:g} nm")
+            return spectral_angle(pixels[..., within], np.interp(nm[within], known, values))
 
-        return _by_pixel(self._array, None, angle)
+        return _named(_by_pixel(self._array, angle), "spectral_angle")
 
     def _beside(self, kind: str) -> xarray.DataArray:
         made = self._selected(open_layer(*self.place, kind), ("y", "x", "band"))
@@ -302,37 +282,36 @@ def _require_neighbours(array: xarray.DataArray) -> None:
 
 def _by_pixel(
     array: xarray.DataArray,
-    axis: str | None,
     compute: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    labels: Sequence[str] = (),
+    **axis: list[str],
 ) -> xarray.DataArray:
-    """Compute something of the spectrum of every pixel, by its values and wavelengths, nm; along `axis`, or one number each."""
+    """Compute something of the spectrum of every pixel, by its values and wavelengths, nm; a number each, or several along an axis: a colour."""
     from levkas.colour.srgb import visible_coverage
 
     nm = _wavelengths(array)
-    dims = [array[name].dims for name in ("wavelength", "band") if name in array.coords]
-    bands = next((one[0] for one in dims if one), None)
-    if bands is None or not len(nm) or not np.isfinite(nm).all():
+    if not len(nm) or not np.isfinite(nm).all() or not array["wavelength"].dims:
         raise _no_colours(array, "bands with wavelengths")
     if array.attrs.get("quantity", "reflectance") != "reflectance":
         raise _no_colours(array, "reflectance")
     if axis and (len(nm) < 3 or visible_coverage(nm) < LEAST_COVERAGE):
         raise _no_colours(array, "bands through the visible")
-    moved = array.transpose(..., bands)
-    made = compute(np.asarray(moved.values, float), nm)
-    places = _places_of(moved) | ({axis: list(labels)} if axis else {})
-    made_dims = moved.dims[:-1] + ((axis,) if axis else ())
-    return xarray.DataArray(made, places, made_dims, name=axis or "spectral_angle")
+    made = xarray.apply_ufunc(
+        lambda values: compute(np.asarray(values, float), nm),
+        array.compute(),
+        input_core_dims=[array["wavelength"].dims],
+        output_core_dims=[[*axis]],
+    )
+    return _named(made.assign_coords(axis), "".join(axis))
+
+
+def _named(array: xarray.DataArray, name: str) -> xarray.DataArray:
+    """Return what was computed of a layer, whose name, facts and place it does not have."""
+    return array.drop_vars(("database", "layer"), errors="ignore").drop_attrs().rename(name)
 
 
 def _wavelengths(array: xarray.DataArray) -> np.ndarray:
     known = array["wavelength"].values if "wavelength" in array.coords else []
     return np.atleast_1d(np.asarray(known, float))
-
-
-def _places_of(array: xarray.DataArray) -> dict[str, Any]:
-    """Return the coordinates of an array that say where its pixels lie."""
-    return {name: array.coords[name] for name in ("y", "x") if name in array.coords}
 
 
 def _no_colours(array: xarray.DataArray, expected: str) -> Refused:

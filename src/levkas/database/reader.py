@@ -12,21 +12,10 @@ from typing import Any
 import numpy as np
 import xarray
 
-from levkas.core.problems import Problem
 from levkas.database.accessor import LayerAccessor
-from levkas.database.catalogue import (
-    NAME,
-    DatabaseRefused,
-    Entry,
-    database_of,
-    no_database,
-    read_catalogue,
-)
-from levkas.database.containment import check_inside, check_plain_names
-from levkas.database.described import open_tiff
+from levkas.database.catalogue import NAME, Entry, database_of, no_database, read_catalogue
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.opening import open_layer
-from levkas.database.spectral_tiff import METADATA
 
 xarray.register_dataarray_accessor("levkas")(LayerAccessor)
 
@@ -38,23 +27,21 @@ OBJECT_CRS = (
 
 
 class Database(Mapping[str, "Object"]):
-    """A published database at `path`, object by object; `catalogue` is empty where the folder has none, and layers are found by their files.
+    """A published database at `path`, object by object, as its `catalogue` lists it.
 
-    Raises DatabaseRefused where the folder holds no database.
+    Raises DatabaseRefused where there is none.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = database_of(path)
-        listed = (self.path / NAME).is_file()
-        if not listed and not (self.path / "objects").is_dir():
-            raise no_database(self.path, f"a folder with {NAME} and objects/")
-        self.catalogue: tuple[Entry, ...] = read_catalogue(self.path) if listed else ()
+        if not (self.path / NAME).is_file():
+            raise no_database(self.path, f"a folder with {NAME}")
+        self.catalogue: tuple[Entry, ...] = read_catalogue(self.path)
 
     def __getitem__(self, name: str) -> Object:
-        layers = self._layers.get(name)
-        if layers is None:
+        if name not in self._layers:
             raise KeyError(f"no object {name!r}; there are: {_first_of(self) or 'none'}")
-        return Object(self.path, name, tuple(layers) or _layers_found(self.path, name))
+        return Object(self.path, name, tuple(self._layers[name]))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._layers)
@@ -70,11 +57,7 @@ class Database(Mapping[str, "Object"]):
 
     @cached_property
     def _layers(self) -> dict[str, list[tuple[str, str]]]:
-        """Camera and setup of every layer by object; none of any where there is no catalogue."""
-        if not self.catalogue:
-            place = self.path / "objects"  # none where every capture was refused
-            folders = place.iterdir() if place.is_dir() else ()
-            return {name: [] for name in sorted(p.name for p in folders if p.is_dir())}
+        """Camera and setup of every layer by object."""
         found: dict[str, list[tuple[str, str]]] = {}
         for entry in self.catalogue:
             found.setdefault(entry.object, []).append((entry.camera, entry.setup))
@@ -164,22 +147,3 @@ class Object(Mapping[Any, xarray.DataArray]):
             there = ", ".join(layer_name(*one) for one in self.layers)
             raise KeyError(f"{self.name} has no layer {layer.name!r}; it has: {there}")
         return layer
-
-
-def _layers_found(path: Path, name: str) -> tuple[tuple[str, str], ...]:
-    """Find the layers of an object in a database without a catalogue, by its TIFFs."""
-    found = []
-    for tiff in sorted((path / "objects" / name).glob("*.tif")):
-        if tiff.name.endswith((".flags.tif", ".sigma.tif")):
-            continue
-        check_inside(path, tiff)
-        record = open_tiff(tiff).facts
-        camera = str(record.get("camera") or tiff.stem.removeprefix(f"{name}_"))
-        setup = str(record.get("setup", ""))
-        try:
-            check_plain_names(camera, setup or "-")
-        except ValueError as error:
-            tag = f"tag {METADATA}"
-            raise DatabaseRefused(Problem("E_VALUE", str(error), str(tiff), tag)) from None
-        found.append((camera, setup))
-    return tuple(found)
