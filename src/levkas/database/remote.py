@@ -13,12 +13,12 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import Any, BinaryIO, cast
-from urllib.parse import urlsplit
 
 from levkas.core.problems import Problem, Refused
 from levkas.database.manifest import NAME, read_manifest
 
-SCHEMES = ("s3", "http", "https")
+ADDRESS = re.compile(r"(s3|https?)://[^@/?#\s]+(/[^?#]*)?")
+"""Without a password and a query."""
 PIECE = 1 << 20
 """Bytes of a request: directories of a TIFF, or one of its strips."""
 RETRIES, RETRY_S, TIMEOUT_S = 3, 120, 60
@@ -44,20 +44,9 @@ def place(path: str | Path) -> Path:
     """
     if not isinstance(path, str) or "://" not in path:
         return Path(path) if isinstance(path, str) else path
-    try:
-        parts = urlsplit(path)
-    except ValueError:  # brackets that are none of IPv6
-        parts = urlsplit("")
-    if (
-        parts.scheme not in SCHEMES
-        or not parts.netloc
-        or "@" in parts.netloc
-        or parts.query
-        or parts.fragment
-    ):
-        why, expected = "this is not the address of a database", "no password and no query"
-        fix = f"Give the credentials of a store in {CREDENTIALS}."
-        raise _refused(why, None, parts.scheme or "nothing", expected, fix)
+    if not ADDRESS.fullmatch(path):
+        why, fix = "this is not the address of a database", f"Give credentials in {CREDENTIALS}."
+        raise _refused(why, None, path.partition("://")[0], fix)
     root = RemotePath(path)
     _STORES[root] = RemoteStore(str(root))
     return cast(Path, root)
@@ -76,21 +65,29 @@ class RemoteStore:
 
     @cached_property
     def objects(self) -> Any:
-        """The store, as `obstore` opens it."""
-        try:
-            from obstore.store import from_url
-
-            credentials = _credentials() if self.url.startswith("s3:") else {}
-        except ImportError as error:
-            why = "reading from a server needs obstore and boto3, which are not installed"
-            fix = "Run: pip install 'levkas[remote]'"
-            problem = Problem("E_MISSING", why, self.url, found=f"no {error.name}", fix=fix)
-            raise RemoteRefused(problem) from None
+        """The store, as `obstore` opens it; requests to S3 carry the credentials of the AWS tools, or none."""
         options: dict[str, Any] = {
             "client_options": {"allow_http": True, "timeout": timedelta(seconds=TIMEOUT_S)},
             "retry_config": {"max_retries": RETRIES, "retry_timeout": timedelta(seconds=RETRY_S)},
         }
-        return from_url(self.url, **options, **credentials)
+        try:
+            from obstore.store import from_url
+
+            if self.url.startswith("s3:"):
+                import boto3
+                from obstore.auth.boto3 import Boto3CredentialProvider
+
+                session, config = boto3.Session(), {"checksum_algorithm": "SHA256"}
+                if session.get_credentials() is None:
+                    options["config"] = config | {"skip_signature": True}
+                else:
+                    provider = Boto3CredentialProvider(session)
+                    options |= {"config": config, "credential_provider": provider}
+        except ImportError as error:
+            why = "reading from a server needs obstore and boto3, which are not installed"
+            found, fix = f"no {error.name}", "Run: pip install 'levkas[remote]'"
+            raise RemoteRefused(Problem("E_MISSING", why, self.url, found=found, fix=fix)) from None
+        return from_url(self.url, **options)
 
     def size(self, name: str) -> int:
         """Return the bytes of a file; raises FileNotFoundError."""
@@ -120,12 +117,11 @@ class RemoteStore:
             if not (lost or isinstance(error, FileNotFoundError | EOFError)):
                 raise
             shown, kind = f"{self.url}/{name}".rstrip("/"), type(error).__name__
-            status = re.search(r"status code: (\d{3})", str(error))
-            code = status[1] if status else ""
-            if isinstance(error, FileNotFoundError) or code == "404":
+            status = (re.findall(r"status code: (\d{3})", str(error)) or [""])[0]
+            if isinstance(error, FileNotFoundError) or status == "404":
                 raise FileNotFoundError(shown) from None
             why, fix = "the server cannot be reached, or does not answer", "Check the address."
-            if code in ("401", "403") or kind.startswith(("PermissionDenied", "Unauthenticated")):
+            if status in ("401", "403") or kind.startswith(("Permission", "Unauthenticated")):
                 why, fix = (
                     "the server does not allow this",
                     f"Check the address; set {CREDENTIALS}.",
@@ -133,7 +129,7 @@ class RemoteStore:
             elif kind.startswith("NotSupported"):
                 why = "the server does not support range requests"
                 fix = "Use one that does (nginx, Apache, S3), or copy the database."
-            raise _refused(why, shown, kind, fix=fix) from None
+            raise _refused(why, shown, kind, fix) from None
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -141,7 +137,7 @@ class RemoteStore:
         manifest = RemotePath(self.url) / NAME
         if not manifest.is_file():
             why = "a server lists no files, and this database has no manifest"
-            raise _refused(why, str(manifest), fix="Copy the database, or build it again.")
+            raise _refused(why, str(manifest), "no manifest", "Build the database again.")
         found = read_manifest(cast(Path, manifest))
         if found.problems:
             raise RemoteRefused(*found.problems)
@@ -188,11 +184,9 @@ class RemotePath(PurePosixPath):
 
     def glob(self, pattern: str) -> Iterator[RemotePath]:
         """Yield the files, not the folders, that a pattern without ``**`` finds."""
-        count = len(PurePosixPath(pattern).parts)
-        for name in self.names():
-            found = PurePosixPath(name)
-            if len(found.parts) == count and found.match(pattern):
-                yield self / name
+        count = pattern.count("/")
+        found = (name for name in self.names() if name.count("/") == count)
+        return (self / name for name in found if PurePosixPath(name).match(pattern))
 
     def names(self) -> Iterator[str]:
         """Yield the names of all files below, relative to it."""
@@ -205,9 +199,7 @@ class RemotePath(PurePosixPath):
 
     def open(self, mode: str = "rb") -> BinaryIO:
         """Open a file for reading."""
-        if mode != "rb":
-            raise ValueError(f"a remote file is opened as 'rb', not {mode!r}")
-        return cast(BinaryIO, io.BufferedReader(_RemoteFile(self.store, self.key), PIECE))
+        return cast(BinaryIO, io.BufferedReader(_RemoteFile(self), PIECE))
 
 
 _STORES: dict[RemotePath, RemoteStore] = {}
@@ -221,9 +213,9 @@ def _restored(url: str, key: str) -> RemotePath:
 class _RemoteFile(io.RawIOBase):
     """A file of a store, for `io.BufferedReader`; raises FileNotFoundError."""
 
-    def __init__(self, store: RemoteStore, key: str) -> None:
-        self._store, self._key, self._at = store, key, 0
-        self._size = store.size(key)
+    def __init__(self, path: RemotePath) -> None:
+        self._store, self._key, self._at = path.store, path.key, 0
+        self._size = self._store.size(self._key)
 
     def readable(self) -> bool:
         return True
@@ -242,19 +234,6 @@ class _RemoteFile(io.RawIOBase):
         return len(data)
 
 
-def _credentials() -> dict[str, Any]:
-    """Return what requests to an S3-like store carry: the credentials of the AWS tools, or none."""
-    import boto3
-    from obstore.auth.boto3 import Boto3CredentialProvider
-
-    session, config = boto3.Session(), {"checksum_algorithm": "SHA256"}
-    if session.get_credentials() is None:
-        return {"config": config | {"skip_signature": True}}
-    return {"config": config, "credential_provider": Boto3CredentialProvider(session)}
-
-
-def _refused(
-    why: str, place: str | None, found: str | None = None, expected: str = "", fix: str = ""
-) -> RemoteRefused:
-    expected = ", ".join([*(f"{scheme}://…" for scheme in SCHEMES), *filter(None, [expected])])
-    return RemoteRefused(Problem("E_REMOTE", why, place, None, found, expected, fix or None))
+def _refused(why: str, place: str | None, found: str, fix: str) -> RemoteRefused:
+    expected = "s3://…, https://… or http://…, without a password and a query"
+    return RemoteRefused(Problem("E_REMOTE", why, place, None, found, expected, fix))
