@@ -80,7 +80,7 @@ def build(
     >>> {step.state for step in build(plates)}
     {'fresh'}
     """
-    from levkas.core.sweeping import sweep
+    from levkas.core.files import sweep
 
     campaign = load_campaign(path)
     places = places_of(campaign, output)

@@ -318,8 +318,8 @@ def sweep_corrections(folder: Path) -> None:
 
     Where the disk refuses it stays too: it is in nobody's way.
     """
+    from levkas.core.files import sweep_beside
     from levkas.core.locks import locked
-    from levkas.core.sweeping import sweep_beside
 
     lock = lock_of(folder / FILE_NAME)
     with contextlib.suppress(Refused, OSError):

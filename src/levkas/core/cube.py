@@ -61,18 +61,10 @@ def is_flagged(flags: np.ndarray, flag: Flag) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """One channel of a cube.
+    """One channel of a cube: its label, such as ``"550 nm"`` or ``"R1"``, centre and full width at half maximum, nm.
 
-    Parameters
-    ----------
-    label : str
-        ``"550 nm"`` or a name such as ``"R1"``.
-    wavelength : float, nm
-        Centre; NaN where the channel is broad.
-    fwhm : float, nm
-        Full width at half maximum; NaN where it is not known.
-    bad : bool
-        Whether the file calls the band bad: its values are kept, and used for nothing.
+    NaN where the channel is broad, or the width not known. A `bad` band is one that its file calls so: its values are
+    kept, and used for nothing.
 
     Raises
     ------
@@ -98,15 +90,13 @@ class Cube:
     Parameters
     ----------
     values : ndarray, (height, width, bands), float32
-        Reflectance (1.0 is the perfect diffuser) or counts, as `quantity` says.
-    flags : ndarray, (height, width, bands), uint8
+        Reflectance (1.0 is the perfect diffuser) or counts, as `quantity` says: ``"reflectance"`` or ``"counts"``.
+    flags : ndarray of the same shape, uint8
         Bit field of `Flag`.
-    sigma : ndarray, (height, width, bands), float32, or None
+    sigma : ndarray of the same shape, float32, or None
         One standard deviation of the random part, in the unit of `values`.
     bands : tuple of Band
         In the order of the last axis.
-    quantity : str
-        ``"reflectance"`` or ``"counts"``.
 
     Raises
     ------
@@ -169,18 +159,9 @@ class Cube:
 
 @dataclass(frozen=True)
 class CubeRows:
-    """A cube that comes some rows at a time, from top to bottom; a `Cube` is its own one block.
+    """A cube that comes in `blocks` of some rows, from top to bottom, taken once; a `Cube` is its own one block.
 
-    Parameters
-    ----------
-    blocks : iterable of Cube
-        Any number of rows each; taken once.
-    shape : (height, width, bands)
-        Of all rows together.
-    bands, quantity
-        As of `Cube`.
-    has_sigma : bool
-        Whether every block has sigma.
+    `shape` is (height, width, bands) of all rows together.
     """
 
     blocks: Iterable[Cube]
@@ -204,15 +185,9 @@ def band_labels(wavelengths: Sequence[float]) -> list[str]:
         if len(set(labels)) == len(labels):
             return labels
     twice = sorted({w for w in values if values.count(w) > 1})
-    raise Refused(
-        Problem(
-            "E_BAND_TWICE",
-            "two bands have the same wavelength",
-            field="wavelengths",
-            found=f"{twice[:3]} nm twice" if twice else "wavelengths closer than 1e-6 nm",
-            expected="one band per wavelength",
-        )
-    )
+    found = f"{twice[:3]} nm twice" if twice else "wavelengths closer than 1e-6 nm"
+    what, expected = "two bands have the same wavelength", "one band per wavelength"
+    raise Refused(Problem("E_BAND_TWICE", what, None, "wavelengths", found, expected))
 
 
 def find_band(labels: Sequence[str], text: str, wavelengths: Sequence[float] = ()) -> int:
@@ -231,16 +206,10 @@ def find_band(labels: Sequence[str], text: str, wavelengths: Sequence[float] = (
         hits = [i for i, wavelength in enumerate(known) if abs(wavelength - number) < 5e-4]
         if len(hits) == 1:
             return hits[0]
-    raise Refused(
-        Problem(
-            "E_BAND_MISSING",
-            f"unknown band {text!r}",
-            field="band",
-            found=str(text),
-            expected=", ".join(labels) if len(labels) <= 12 else f"{labels[0]} … {labels[-1]}",
-            fix=_near_bands(labels, text, number) or "Use a band name from the list.",
-        )
-    )
+    expected = ", ".join(labels) if len(labels) <= 12 else f"{labels[0]} … {labels[-1]}"
+    fix = _near_bands(labels, text, number) or "Use a band name from the list."
+    what = f"unknown band {text!r}"
+    raise Refused(Problem("E_BAND_MISSING", what, None, "band", str(text), expected, fix))
 
 
 def _near_bands(labels: Sequence[str], text: str, number: float) -> str | None:
@@ -252,11 +221,8 @@ def _near_bands(labels: Sequence[str], text: str, number: float) -> str | None:
     known = [(nm, label) for label in labels if (nm := _wavelength(label)) == nm]
     if number != number or not known:
         return closest_match(text, labels)
-    below, above = (
-        (max, [k for k in known if k[0] < number]),
-        (min, [k for k in known if k[0] > number]),
-    )
-    near = [repr(choose(some)[1]) for choose, some in (below, above) if some]
+    below, above = [k for k in known if k[0] < number], [k for k in known if k[0] > number]
+    near = [repr(choose(some)[1]) for choose, some in ((max, below), (min, above)) if some]
     return f"Did you mean {' or '.join(near)}?"
 
 

@@ -9,8 +9,6 @@ import stat
 from pathlib import Path
 
 Stamp = tuple[int, int, int, int]
-SMALL = 1 << 16
-"""Bytes of a file that is read in one piece: the buffer of a streamed one costs more than its reading."""
 
 
 def hash_file(path: str | Path) -> str:
@@ -18,14 +16,11 @@ def hash_file(path: str | Path) -> str:
 
     Raises OSError where it cannot be read, or is none: a pipe would be waited for, for ever.
     """
-    path = Path(path) if isinstance(path, str) else path
-    found = path.stat()
-    mode = found.st_mode
+    path = Path(path)
+    mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))
-    if found.st_size <= SMALL and stat.S_ISREG(mode):
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    with path.open("rb") as handle:
+    with path.open("rb", buffering=0) as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
@@ -39,8 +34,8 @@ def hash_tree(folder: str | Path) -> dict[str, str]:
 def stamp_of(path: str | Path) -> Stamp:
     """Return size, times of modification and of change (ns), and inode of a file.
 
-    Whoever replaces a file can set its time of modification back; the system alone sets the time of
-    change (on Windows that of creation).
+    Whoever replaces a file can set its time of modification back; the system alone sets the time of change (on Windows
+    that of creation).
     """
     found = os.stat(path)  # noqa: PTH116 -- thousands of times where all is fresh
     return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino

@@ -67,30 +67,23 @@ def _problem(path: Path, error: OSError, bytes_needed: int | None) -> Problem:
     reason = error.strerror or type(error).__name__
     if error.errno in REFUSED:
         return _unwritable(path, unusable_name(path) or reason)
-    return Problem(
-        "E_IO",
-        f"the disk failed while {path.name} was written: {reason}",
-        file=str(path),
-        fix="Check the disk, then run the build again; finished stages are kept.",
-    )
+    message = f"the disk failed while {path.name} was written: {reason}"
+    fix = "Check the disk, then run the build again; finished stages are kept."
+    return Problem("E_IO", message, str(path), fix=fix)
 
 
 def _unwritable(path: Path, reason: str) -> Problem:
-    return Problem(
-        "E_UNWRITABLE",
+    message, expected = (
         f"{path.name} cannot be written: {reason}",
-        file=str(path),
-        expected="a folder that can be written to",
-        fix="Give another output folder, or change its permissions.",
+        "a folder that can be written to",
     )
+    fix = "Give another output folder, or change its permissions."
+    return Problem("E_UNWRITABLE", message, str(path), expected=expected, fix=fix)
 
 
 def _disk_full(path: Path, bytes_needed: int | None, free: int | None) -> Problem:
-    return Problem(
-        "E_DISK_FULL",
-        f"the disk is full: {path.name} was not written",
-        file=str(path),
-        found=None if free is None else f"{free} bytes free",
-        expected=None if bytes_needed is None else f"{bytes_needed} bytes",
-        fix="Free some space, or give another output folder; then run the build again.",
-    )
+    found = None if free is None else f"{free} bytes free"
+    expected = None if bytes_needed is None else f"{bytes_needed} bytes"
+    message = f"the disk is full: {path.name} was not written"
+    fix = "Free some space, or give another output folder; then run the build again."
+    return Problem("E_DISK_FULL", message, str(path), None, found, expected, fix)

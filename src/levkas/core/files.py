@@ -1,9 +1,8 @@
 """Atomic writing of files and folders: a final name is taken only by what is whole and synced.
 
-A file is written under a temporary name in its own folder, synced, renamed, and the folder synced.
-A folder is built aside under `name.partial-…`, synced once as a whole, and renamed. What belongs
-`together` takes its names when all of it is on the disk. What a killed run leaves behind bears a
-partial name with our own name in it, is never read, and `sweep` takes it away.
+A file is written under a temporary name in its own folder, synced, renamed, and the folder synced. A folder is built
+aside under `name.levkas.partial-…`, synced once as a whole, and renamed. What belongs `together` takes its names when all
+of it is on the disk. What a killed run leaves behind is never read, and `sweep` takes it away.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import glob
 import hashlib
 import io
 import os
@@ -40,7 +40,7 @@ DROPPINGS = re.compile(
 )
 """Names that file browsers (macOS, Windows, KDE) and viewers of pictures (GDAL, QGIS, ArcGIS, ENVI) leave beside what they
 show; neither published nor a damage."""
-BUFFER_BYTES, COPY_BYTES = 1 << 20, 1 << 22
+BUFFER_BYTES = 1 << 20
 LONGEST_NAME = 200
 """Bytes of a name that stand in its partial name; with ours and eight digits 224."""
 
@@ -52,18 +52,41 @@ def _no_fault(step: str, path: Path) -> None:
 fault: Callable[[str, Path], None] = _no_fault
 """Called with (step, path) before each step on the disk; a test puts a function here that raises or kills.
 
-The steps: ``open``, ``write``, ``fsync``, ``rename``, ``folder`` (make one), ``sync`` (a folder's
-entries, or a whole file system), ``remove``.
+The steps: ``open``, ``write``, ``fsync``, ``rename``, ``folder`` (make one), ``sync`` (a folder's entries, or a whole file
+system), ``remove``.
 """
+
+_path_check: ContextVar[Callable[[Path], object] | None] = ContextVar("path_check", default=None)
+
+
+@contextlib.contextmanager
+def before_writing(check: Callable[[Path], object]) -> Iterator[None]:
+    """Call `check` with the final path of every file and whole folder that this thread writes in the block, before it is.
+
+    What it raises ends the writing; nothing has been touched then.
+    """
+    token = _path_check.set(check)
+    try:
+        yield
+    finally:
+        _path_check.reset(token)
+
+
+def _prepare(path: Path, bytes_needed: int | None) -> None:
+    if (check := _path_check.get()) is not None:
+        check(path)
+    make_folder(path.parent)
+    if bytes_needed is not None:
+        require_space(path.parent, bytes_needed, path=path)
 
 
 # --- whole files ------------------------------------------------------------------------------
 
 
 def write_bytes(path: str | Path, data: bytes | bytearray | memoryview) -> None:
-    """Write `data` as the whole of `path`, or leave what was there; raises WriteRefused.
+    """Write `data` as the whole of `path`, or leave what was there.
 
-    ``E_UNWRITABLE``, ``E_DISK_FULL`` (with bytes needed and free) or ``E_IO``.
+    Raises WriteRefused: ``E_UNWRITABLE``, ``E_DISK_FULL`` (with bytes needed and free) or ``E_IO``.
     """
     with replacing(path, bytes_needed=memoryview(data).nbytes) as handle:
         handle.write(data)
@@ -71,11 +94,9 @@ def write_bytes(path: str | Path, data: bytes | bytearray | memoryview) -> None:
 
 def write_changed(path: str | Path, data: bytes) -> None:
     """Write `data` as `write_bytes` does, unless the file says just that already."""
-    try:
+    with contextlib.suppress(OSError):
         if Path(path).read_bytes() == data:
             return
-    except OSError:
-        pass
     write_bytes(path, data)
 
 
@@ -89,15 +110,6 @@ def write_json(path: str | Path, record: Any) -> None:
     write_text(path, to_json(record))
 
 
-def copy_file(source: str | Path, path: str | Path) -> None:
-    """Copy the bytes of `source` to `path`, whole or not at all."""
-    with (
-        Path(source).open("rb") as origin,
-        replacing(path, bytes_needed=os.fstat(origin.fileno()).st_size) as handle,
-    ):
-        shutil.copyfileobj(origin, handle, BUFFER_BYTES)
-
-
 @contextlib.contextmanager
 def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[io.BufferedRandom]:
     """Open a temporary file that becomes `path` when the block ends well; its folder is made where it is missing.
@@ -107,73 +119,53 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
     as they are. Either way `path` is what it was and the temporary file is gone.
     """
     path = Path(path)
-    if (check := _path_check.get()) is not None:
-        check(path)
-    make_folder(path.parent)
-    if bytes_needed is not None:
-        require_space(path.parent, bytes_needed, path=path)
-    raw = _open_partial(path, bytes_needed)
-    handle = io.BufferedRandom(raw, BUFFER_BYTES)
+    _prepare(path, bytes_needed)
     # What stands in a folder that is partial itself needs no patience.
     within = any(PARTIAL.fullmatch(part) for part in path.parent.parts)
     waiting = None if within else _waiting.get()
-    try:
-        with refusing(path, bytes_needed, only_of=Path(raw.name)):
-            yield handle
+    with _temporary(path, bytes_needed) as (handle, raw):
+        yield handle
         with refusing(path, bytes_needed):
             handle.flush()
             fault("fsync", path)
             os.fsync(raw.fileno())
-            if waiting is None:
-                fault("rename", path)
-                Path(raw.name).replace(path)
-            else:
-                waiting.append(_Waiting(path, Path(raw.name), os.dup(raw.fileno())))
-    except BaseException:
-        raw.discarding = True
-        with contextlib.suppress(OSError):
-            Path(raw.name).unlink()
-        raise
-    finally:
-        handle.close()
-    if waiting is None:
-        _sync_folder(path.parent)
-
-
-_path_check: ContextVar[Callable[[Path], object] | None] = ContextVar("path_check", default=None)
-
-
-@contextlib.contextmanager
-def before_writing(check: Callable[[Path], object]) -> Iterator[None]:
-    """Call `check` with the final path of every file, and of every whole folder, that this thread writes in the block, before it is.
-
-    What it raises ends the writing; nothing has been touched then.
-    """
-    token = _path_check.set(check)
-    try:
-        yield
-    finally:
-        _path_check.reset(token)
+            one = _Waiting(path, Path(raw.name), os.dup(raw.fileno()))
+            if waiting is not None:
+                waiting.append(one)
+                return
+            one.close()
+            one.settle()
+    _sync_folder(path.parent)
 
 
 @contextlib.contextmanager
 def spooling(folder: str | Path, name: str) -> Iterator[io.BufferedRandom]:
-    """Open a file for what is needed meanwhile; it bears a partial name and goes with the block.
-
-    Raises WriteRefused as `replacing` does.
-    """
+    """Open a file for what is needed meanwhile; it bears a partial name and goes with the block; raises as `replacing`."""
     path = Path(folder) / name
     make_folder(path.parent)
-    raw = _open_partial(path, None)
-    handle = io.BufferedRandom(raw, BUFFER_BYTES)
-    try:
-        with refusing(path, None, only_of=Path(raw.name)):
-            yield handle
-    finally:
+    with _temporary(path, None) as (handle, raw):
+        yield handle
         raw.discarding = True
+
+
+@contextlib.contextmanager
+def _temporary(
+    path: Path, bytes_needed: int | None
+) -> Iterator[tuple[io.BufferedRandom, _Watched]]:
+    """Open a partial file; it goes with the block unless that ends well and the file is kept."""
+    raw = _open_partial(path, bytes_needed)
+    handle, partial = io.BufferedRandom(raw, BUFFER_BYTES), Path(raw.name)
+    try:
+        with refusing(path, bytes_needed, only_of=partial):
+            yield handle, raw
+    except BaseException:
+        raw.discarding = True
+        raise
+    finally:
+        if raw.discarding:
+            with contextlib.suppress(OSError):
+                partial.unlink()
         handle.close()
-        with contextlib.suppress(OSError):
-            Path(raw.name).unlink()
 
 
 class _Watched(io.FileIO):
@@ -207,97 +199,94 @@ def _open_partial(path: Path, bytes_needed: int | None) -> _Watched:
 
 
 def _partial(path: Path) -> Path:
-    return path.with_name(f"{partial_stem(path)}.levkas.partial-{secrets.token_hex(4)}")
+    return path.with_name(f"{_stem(path)}.levkas.partial-{secrets.token_hex(4)}")
 
 
-def partial_stem(path: Path) -> str:
-    """Return what the partial names of a file begin with: its name, the first 200 bytes of it."""
+def _stem(path: Path) -> str:
+    """Return what the partial names of a file begin with."""
     return os.fsencode(path.name)[:LONGEST_NAME].decode(errors="ignore")
+
+
+def _hold(descriptor: int, path: Path) -> bool:
+    # A sweep may come between the making of a partial file and this lock: then it is made anew.
+    if os.name == "nt":
+        return True
+    take(descriptor)  # a file system without locks has nothing swept either
+    try:
+        return path.stat().st_ino == os.fstat(descriptor).st_ino
+    except FileNotFoundError:
+        return False
 
 
 # --- whole folders ----------------------------------------------------------------------------
 
 
 class Folder:
-    """A folder being built under a partial name.
+    """A folder being built under a partial name, `path`.
 
-    `path` is its temporary place. What is written here is not synced file by file: the
-    whole folder is, once, before it takes its name.
+    What is written here is not synced file by file: the whole folder is, once, before it takes its name. Raises WriteRefused,
+    also where a name points outside the folder.
     """
 
     def __init__(self, path: Path, final: Path) -> None:
         self.path, self.final = path, final
 
     def write_bytes(self, name: str, data: bytes | bytearray | memoryview) -> None:
-        """Write one file of the folder; `name` is relative, with its folders made as needed.
-
-        Raises WriteRefused, as `copy_file` does, also where a name points outside the folder.
-        """
-        target, final = self._places(name)
-        with refusing(final, memoryview(data).nbytes):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            fault("open", final)
-            with target.open("wb", buffering=0) as handle:
-                view = memoryview(data).cast("B")
-                while view:
-                    fault("write", final)
-                    view = view[handle.write(view) :]
+        """Write one file of the folder; `name` is relative, with its folders made as needed."""
+        self._write(name, [memoryview(data).cast("B")])
 
     def copy_file(self, source: str | Path, name: str) -> str:
         """Copy a file into the folder and return the SHA-256 of what was read."""
-        target, final = self._places(name)
         digest = hashlib.sha256()
-        with Path(source).open("rb") as origin, refusing(final, None):
+        with Path(source).open("rb") as origin:
+            blocks = iter(lambda: origin.read(4 * BUFFER_BYTES), b"")
+            self._write(name, (digest.update(block) or block for block in blocks))  # type: ignore[func-returns-value]
+        return digest.hexdigest()
+
+    def _write(self, name: str, blocks: Iterable[bytes | memoryview]) -> None:
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            message = "a name points outside the folder"
+            raise WriteRefused(Problem("E_UNWRITABLE", message, str(self.final), found=name))
+        target, final = self.path / name, self.final / name
+        with refusing(final, None):
             target.parent.mkdir(parents=True, exist_ok=True)
             fault("open", final)
             with target.open("wb", buffering=0) as handle:
-                while block := origin.read(COPY_BYTES):
-                    digest.update(block)
-                    fault("write", final)
-                    handle.write(block)
-        return digest.hexdigest()
-
-    def _places(self, name: str) -> tuple[Path, Path]:
-        """Where a file stands meanwhile, and in the end."""
-        if Path(name).is_absolute() or ".." in Path(name).parts:
-            problem = Problem(
-                "E_UNWRITABLE", "a name points outside the folder", str(self.final), found=name
-            )
-            raise WriteRefused(problem)
-        return self.path / name, self.final / name
+                for block in blocks:
+                    left = memoryview(block)
+                    while left:
+                        fault("write", final)
+                        left = left[handle.write(left) :]
 
 
 @contextlib.contextmanager
 def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[Folder]:
-    """Build a folder aside that becomes `path`, in place of what was there, when the block ends well.
+    """Build a folder aside that becomes `path`, in place of what was there, when the block ends well; raises as `replacing`.
 
-    Raises as `replacing` does. The old folder is kept until the new one is whole.
+    The old folder is kept until the new one is whole.
     """
     path = Path(path)
-    if (check := _path_check.get()) is not None:
-        check(path)
-    make_folder(path.parent)
-    if bytes_needed is not None:
-        require_space(path.parent, bytes_needed, path=path)
+    _prepare(path, bytes_needed)
     partial, descriptor = _make_partial(path)
     waiting = _waiting.get()
+    one = _Waiting(path, partial, descriptor, is_folder=True)
     try:
         with refusing(path, bytes_needed, only_of=partial):
             yield Folder(partial, path)
         with refusing(path, bytes_needed):
             fault("sync", path)
             _sync_file_system(descriptor)
-            if waiting is None:
-                _take_place(partial, path)
-            else:
-                waiting.append(_Waiting(path, partial, os.dup(descriptor), is_folder=True))
+        if waiting is not None:
+            waiting.append(one)
+            return
+        one.settle()
     except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
+        one.drop()
         raise
     finally:
-        os.close(descriptor)
-    if waiting is None:
-        _sync_folder(path.parent)
+        if waiting is None or one not in waiting:
+            one.close()
+    _sync_folder(path.parent)
 
 
 def _make_partial(path: Path) -> tuple[Path, int]:
@@ -335,24 +324,12 @@ def _take_place(partial: Path, path: Path) -> None:
             return
 
 
-def _exchange(one: Path, other: Path) -> bool:
-    """Swap two names in one step, so that no moment is without either; False where it cannot be."""
-    call = (
-        getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if os.name != "nt" else None
-    )
-    here, exchange = -100, 2
-    return call is not None and call(here, bytes(one), here, bytes(other), exchange) == 0
-
-
 # --- what belongs together --------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Waiting:
-    """What waits for its name, or, without a partial path, for its end.
-
-    The descriptor holds the lock that keeps `sweep` away.
-    """
+    """What waits for its name, or, without a partial path, for its end; the descriptor holds the lock that keeps `sweep` away."""
 
     path: Path
     partial: Path | None = None
@@ -388,9 +365,9 @@ _waiting: ContextVar[list[_Waiting] | None] = ContextVar("waiting", default=None
 def together(before: Callable[[], object] | None = None) -> Iterator[None]:
     """Let what this thread writes in the block take its names only when the block ends well.
 
-    Whatever may fill the disk is then done: where a file of several fails, all are what they were.
-    What `remove` is given in the block goes then too. `before` is called once when all is on the disk and nothing has its
-    name: the place to drop a record of what stands there until then. Raises WriteRefused.
+    Whatever may fill the disk is then done: where a file of several fails, all are what they were. What `remove` is given
+    in the block goes then too. `before` is called once when all is on the disk and nothing has its name: the place to drop a
+    record of what stands there until then. Raises WriteRefused.
 
     A process that ends while names are taken leaves some of the new and some of the old files.
     """
@@ -417,15 +394,7 @@ def together(before: Callable[[], object] | None = None) -> Iterator[None]:
             one.close()
 
 
-def discard(path: Path) -> None:
-    """Remove a file or a folder, once more where something comes into it meanwhile."""
-    fault("remove", path)
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path, ignore_errors=True)  # another builder sweeps it too
-        if path.is_dir():
-            shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+# --- folders made, files removed and moved ----------------------------------------------------
 
 
 def make_folder(path: str | Path) -> None:
@@ -441,6 +410,17 @@ def make_folder(path: str | Path) -> None:
             fault("folder", folder)
             folder.mkdir(exist_ok=True)
         _sync_folder(folder.parent)
+
+
+def discard(path: Path) -> None:
+    """Remove a file or a folder, once more where something comes into it meanwhile."""
+    fault("remove", path)
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)  # another builder sweeps it too
+        if path.is_dir():
+            shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def remove(path: str | Path) -> None:
@@ -490,18 +470,51 @@ def move_files(names: Iterable[str], source: str | Path, target: str | Path) -> 
     return moved
 
 
-def _hold(descriptor: int, path: Path) -> bool:
-    # A sweep may come between the making of a partial file and this lock: then it is made anew.
-    if os.name == "nt":
-        return True
-    take(descriptor)  # a file system without locks has nothing swept either
-    try:
-        return path.stat().st_ino == os.fstat(descriptor).st_ino
-    except FileNotFoundError:
+def sweep(folder: str | Path) -> list[Path]:
+    """Take away what killed runs of Levkas left under partial names, in `folder` and below, and return it.
+
+    What a living process still writes is locked by it and stays. `folder` must be one that Levkas made.
+    """
+    removed: list[Path] = []
+    for place, folders, names in os.walk(folder):
+        partial = {name for name in (*folders, *names) if OURS.fullmatch(name)}
+        folders[:] = sorted(set(folders) - partial)
+        removed += _swept(Path(place, name) for name in sorted(partial))
+    return removed
+
+
+def sweep_beside(path: str | Path) -> list[Path]:
+    """Take away what killed runs left of one file or folder, beside it; as `sweep` does."""
+    path = Path(path)
+    left = sorted(path.parent.glob(f"{glob.escape(_stem(path))}.levkas.partial-*"))
+    return _swept(one for one in left if OURS.fullmatch(one.name))
+
+
+def _swept(paths: Iterable[Path]) -> list[Path]:
+    removed = []
+    for path in paths:
+        if _is_abandoned(path):
+            with refusing(path, None):
+                discard(path)
+            removed.append(path)
+    return removed
+
+
+def _is_abandoned(path: Path) -> bool:
+    if os.name == "nt":  # nothing is swept where open files are not locked
         return False
+    try:
+        # A pipe of that name keeps none waiting.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        return take(descriptor) is True
+    finally:
+        os.close(descriptor)
 
 
-# --- the disk ---------------------------------------------------------------------------------
+# --- calls of the system ----------------------------------------------------------------------
 
 
 def _sync_folder(folder: Path) -> None:
@@ -516,10 +529,20 @@ def _sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
+def _of_libc(name: str) -> Any:
+    return getattr(ctypes.CDLL(None, use_errno=True), name, None) if os.name != "nt" else None
+
+
 def _sync_file_system(descriptor: int) -> None:
-    call = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None) if os.name != "nt" else None
+    call = _of_libc("syncfs")
     if call is None:
         getattr(os, "sync", lambda: None)()
     elif call(descriptor) != 0:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Swap two names in one step, so that no moment is without either; False where it cannot be."""
+    call, here, exchange = _of_libc("renameat2"), -100, 2
+    return call is not None and call(here, bytes(one), here, bytes(other), exchange) == 0

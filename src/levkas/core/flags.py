@@ -14,17 +14,9 @@ from levkas.core.cube import Flag
 
 @dataclass(frozen=True)
 class Mark:
-    """How a flag is shown.
+    """How a flag is shown: a word for a cell of a table, its meaning, its colour (red, green, blue), 0 … 255.
 
-    Parameters
-    ----------
-    word : str
-        For a cell of a table.
-    meaning : str
-        For a legend and for README.md.
-    colour : (red, green, blue), 0 … 255
-    trusted : bool
-        Whether the value is an estimate of the paint's reflectance all the same.
+    `trusted`: whether the value is an estimate of the paint's reflectance all the same.
     """
 
     word: str

@@ -1,11 +1,10 @@
 """Instruction sets: numerical libraries held to x86-64-v2, so that unlike processors write the same bytes.
 
-NumPy, OpenBLAS, OpenCV and IPP choose the widest instructions of a processor when they are loaded. Wider
-ones add in another order and fuse multiply and add, which shows in the last bits of a fitted map. Held to
-what every x86-64 processor has on which the locked NumPy runs (SSE4.2, since 2008), they give the same
-bits on all with fused multiply-add (x86-64-v3, since 2013); on older ones the C library's exp, log and
-sin still round otherwise now and then. Kernels of numba are compiled for the processor at hand: without
-fast-math their bits are the same.
+NumPy, OpenBLAS, OpenCV and IPP choose the widest instructions of a processor when they are loaded. Wider ones add in
+another order and fuse multiply and add, which shows in the last bits of a fitted map. Held to what every x86-64 processor
+has on which the locked NumPy runs (SSE4.2, since 2008), they give the same bits on all with fused multiply-add (x86-64-v3,
+since 2013); on older ones the C library's exp, log and sin still round otherwise now and then. Kernels of numba are
+compiled for the processor at hand: without fast-math their bits are the same.
 """
 
 from __future__ import annotations
@@ -42,8 +41,8 @@ def hold_instructions() -> bool:
     Returns
     -------
     held : bool
-        False where the variable says so, on other processors than x86-64, and where NumPy or OpenCV
-        are loaded already: they do not choose again.
+        False where the variable says so, on other processors than x86-64, and where NumPy or OpenCV are loaded already:
+        they do not choose again.
 
     Examples
     --------
@@ -52,26 +51,18 @@ def hold_instructions() -> bool:
     False
     """
     native = os.environ.get(INSTRUCTIONS, "").strip() == "native"
-    if native or platform.machine().lower() not in ("x86_64", "amd64"):
+    other = platform.machine().lower() not in ("x86_64", "amd64")
+    if native or other or {"numpy", "cv2"} & sys.modules.keys():
         return False
-    if {"numpy", "cv2"} & sys.modules.keys():
-        return False
-    os.environ.update(HELD, OPENCV_CPU_DISABLE=",".join(_opencv_sets()))
+    os.environ.update(_held())
     return True
 
 
 def describe_instructions() -> dict[str, str]:
-    """Return what the libraries compute with: loads them.
+    """Return what the libraries compute with, which this loads: `level`, `numpy`, `blas` (version and kernel of each) and `opencv`.
 
-    Returns
-    -------
-    record : dict of str
-        ``level``: ``x86-64-v2`` where all are held to it, else ``native``. ``numpy``: its instruction
-        sets. ``blas``: version and kernel of each OpenBLAS that is loaded. ``opencv``: its instruction
-        sets, and whether IPP is in use.
+    The level is ``x86-64-v2`` where all are held to it, else ``native``.
 
-    Examples
-    --------
     >>> sorted(describe_instructions())
     ['blas', 'level', 'numpy', 'opencv']
     """
@@ -84,28 +75,22 @@ def describe_instructions() -> dict[str, str]:
     beyond = sets.get("found", [])
     blas = [one for one in threadpool_info() if one["user_api"] == "blas"]
     kernels = {one.get("architecture", "") for one in blas}
+    named = {f"{b['internal_api']} {b['version']} {b.get('architecture', '')}" for b in blas}
     opencv = [word.strip("*") for word in cv2.getCPUFeaturesLine().split() if "?" not in word]
     ipp = bool(cv2.ipp.useIPP())
     wide = beyond or kernels != {HELD["OPENBLAS_CORETYPE"]} or OPENCV_SETS.keys() & opencv or ipp
     return {
         "level": "native" if wide else BASELINE,
         "numpy": " ".join([*sets.get("baseline", []), *beyond]),
-        "blas": ", ".join(
-            sorted(f"{b['internal_api']} {b['version']} {b.get('architecture', '')}" for b in blas)
-        ),
+        "blas": ", ".join(sorted(named)),
         "opencv": " ".join([*opencv, *(["IPP"] if ipp else [])]),
     }
 
 
 @cache
 def instructions_in_use() -> str:
-    """Return in one line what the libraries compute with; loads them only where they are not held.
-
-    >>> instructions_in_use().startswith(("x86-64-v2", "native: "))
-    True
-    """
-    held = {**HELD, "OPENCV_CPU_DISABLE": ",".join(_opencv_sets())}
-    if all(os.environ.get(name) == value for name, value in held.items()):
+    """Return in one line what the libraries compute with; loads them only where they are not held."""
+    if all(os.environ.get(name) == value for name, value in _held().items()):
         return BASELINE
     found = describe_instructions()
     if found["level"] == BASELINE:
@@ -113,14 +98,13 @@ def instructions_in_use() -> str:
     return f"{found['level']}: numpy {found['numpy']}; {found['blas']}; opencv {found['opencv']}"
 
 
-def _opencv_sets() -> list[str]:
-    """Return the sets that OpenCV has to leave out: naming one that is not there, it complains."""
+def _held() -> dict[str, str]:
+    """Return the variables that hold the libraries; of OpenCV's sets those that the processor has: of another one it complains."""
     try:
         processor = Path("/proc/cpuinfo").read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):  # Windows, macOS
         processor = ""
     flags = re.search(r"^flags\s*:(.*)$", processor, re.MULTILINE)
-    if flags is None:
-        return list(OPENCV_SETS)
-    here = set(flags[1].split())
-    return [name for name, needed in OPENCV_SETS.items() if needed <= here]
+    here = set(flags[1].split()) if flags else set[str]().union(*OPENCV_SETS.values())
+    sets = [name for name, needed in OPENCV_SETS.items() if needed <= here]
+    return {**HELD, "OPENCV_CPU_DISABLE": ",".join(sets)}

@@ -48,40 +48,22 @@ def as_refusal(error: Exception, what: str, file: str | Path | None = None) -> R
     """
     if isinstance(error, Refused):
         return error
+    where = str(file) if file else None
     if isinstance(error, MemoryError):
-        return Refused(_out_of_memory(error, what, file))
+        message, found = f"{what}: memory ran out: {error or 'no more was given'}", free_memory()
+        fix = "Close other programs or use a machine with more memory, then build again. Finished stages are kept."
+        return Refused(
+            Problem("E_MEMORY", message, where, found=f"{found / 1e9:.1f} GB free", fix=fix)
+        )
     if isinstance(error, OSError) and error.strerror:
-        return Refused(_of_the_system(error, what, file))
+        fix = "Check the disk, the network and the permissions, then build again. Finished stages are kept."
+        where = str(error.filename) if error.filename else where
+        return Refused(Problem("E_IO", f"{what}: {error.strerror}", where, fix=fix))
     text = _ADDRESS.sub("0x…", " ".join(str(error).split()))[:LONGEST_FOUND]
-    problem = Problem(
-        CODE,
-        f"{what}: unexpected {type(error).__name__}",
-        file=str(file) if file else None,
-        found=f"{text} ({_places(error)})".strip(),
-        fix="This is an error of the program: please send its report to the authors.",
-    )
+    message, found = f"{what}: unexpected {type(error).__name__}", f"{text} ({_places(error)})"
+    fix = "This is an error of the program: please send its report to the authors."
+    problem = Problem(CODE, message, where, found=found.strip(), fix=fix)
     return InternalError(problem, report=_report(error, what, file))
-
-
-def _out_of_memory(error: MemoryError, what: str, file: str | Path | None) -> Problem:
-    free = free_memory()
-    return Problem(
-        "E_MEMORY",
-        f"{what}: memory ran out: {error or 'no more was given'}",
-        file=str(file) if file else None,
-        found=None if free is None else f"{free / 1e9:.1f} GB free",
-        fix="Close other programs or use a machine with more memory, then build again. Finished stages are kept.",
-    )
-
-
-def _of_the_system(error: OSError, what: str, file: str | Path | None) -> Problem:
-    where = error.filename or file
-    return Problem(
-        "E_IO",
-        f"{what}: {error.strerror}",
-        file=str(where) if where else None,
-        fix="Check the disk, the network and the permissions, then build again. Finished stages are kept.",
-    )
 
 
 def _places(error: BaseException) -> str:
@@ -97,18 +79,14 @@ def _places(error: BaseException) -> str:
 
 def _report(error: BaseException, what: str, file: str | Path | None) -> str:
     """Return the text to send: it names files and folders of this machine, and nothing else of it."""
+    from importlib.metadata import distributions
+
+    libraries = sorted({f"{one.metadata['Name']} {one.version}" for one in distributions()})
     lines = [
         f"Levkas {__version__}, Python {platform.python_version()}, {platform.platform()}",
-        ", ".join(f"{name} {number}" for name, number in _libraries()),
+        ", ".join(libraries),
         f"{what}{f': {file}' if file else ''}",
         "",
         "".join(traceback.format_exception(error)),
     ]
     return "\n".join(lines)
-
-
-def _libraries() -> list[tuple[str, str]]:
-    """Return names and versions of the libraries that are installed."""
-    from importlib.metadata import distributions
-
-    return sorted({(one.metadata["Name"], one.version) for one in distributions()})

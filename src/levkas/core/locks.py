@@ -1,7 +1,4 @@
-"""Locks between threads, processes and machines: a file that exists only while it is held, or an open one.
-
-A lock ends with the process that holds it, however that ends.
-"""
+"""Locks between threads, processes and machines, which end with the process that holds them, however that ends."""
 
 from __future__ import annotations
 
@@ -44,14 +41,9 @@ def locked(path: Path, *, patience_s: float = PATIENCE_S) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout:
-        raise Taken(
-            Problem(
-                "E_BUSY",
-                "another process is using this",
-                str(path),
-                fix="Wait for it, or stop it.",
-            )
-        ) from None
+        fix = "Wait for it, or stop it."
+        busy = Problem("E_BUSY", "another process is using this", str(path), fix=fix)
+        raise Taken(busy) from None
     except OSError:  # no locks here
         pass
     try:

@@ -92,8 +92,7 @@ _alone = threading.RLock()
 def steady_libraries() -> Iterator[None]:
     """Let one thread at a time into the block, and the libraries have `count_threads()`, linear algebra one.
 
-    Sums of linear algebra depend on its number of threads, and small problems do not wait for one
-    another on a busy machine. That number is one for the whole process: hence one at a time.
+    Sums of linear algebra depend on its number of threads, which is one for the whole process.
     """
     import cv2
     import scipy.linalg  # noqa: F401  # it brings linear algebra of its own, which is held only if it is there already

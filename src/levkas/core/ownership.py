@@ -1,46 +1,47 @@
-"""Marks of files that Levkas wrote: only these are ever replaced or removed.
+"""What Levkas may write over: a folder that bears its mark, and files only where that is asked for.
 
-A database bears `MARK` in the first line of its database.toml, which a build writes before anything
-else; a finished one also in its manifest, as a publication does. Of files
-that are written into a folder of somebody else's, such as an export, a record beside them says which.
+A database bears `MARK` in the first line of its database.toml, which a build writes before anything else; a finished one
+also in its manifest, as a publication does.
 """
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from levkas.core.digests import hash_file, hash_tree
 from levkas.core.disk import WriteRefused
 from levkas.core.files import DROPPINGS, OURS
-from levkas.core.problems import SCHEMES, Problem, Refused
-from levkas.core.text import read_json, what_stands_at
+from levkas.core.problems import SCHEMES, Problem
+from levkas.core.text import what_stands_at
 
 Kind = Literal["database", "publication"]
 
 IMPRINT = "database.toml"
 """Facts of a database as a whole; its first line is `MARK`."""
 MARK = "# Written by Levkas. A build goes on only in a folder that bears this line.\n"
-RECORD = "levkas-files.json"
-"""Beside files that were written one by one: name → SHA-256, null while it is being written."""
-LONGEST_MARK = 4096
-"""Bytes of a file that a mark is looked for in."""
-_MANIFEST = re.compile(rb"# levkas manifest 1: ")
-_DATABASE = re.compile(re.escape(MARK.encode()))
+MANIFEST = b"# levkas manifest 1: "
+HOME = "~"
 
 
 def made(folder: str | Path) -> Kind | None:
     """Return what of ours a folder is, by its mark; None where it has none."""
     folder = Path(folder)
-    if _MANIFEST.match(_head(folder / "manifest-sha256.txt")):
+    if _begins(folder / "manifest-sha256.txt", MANIFEST):
         return "publication" if (folder / "ro-crate-metadata.json").is_file() else "database"
-    return "database" if _DATABASE.match(_head(folder / IMPRINT)) else None
+    return "database" if _begins(folder / IMPRINT, MARK.encode()) else None
+
+
+def _begins(path: Path, mark: bytes) -> bool:
+    try:
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return file.read(len(mark)) == mark
+    except OSError:
+        return False
 
 
 def stands_in(folder: Path) -> str:
@@ -51,11 +52,9 @@ def stands_in(folder: Path) -> str:
     if not os.path.lexists(folder):
         return ""
     found = what_stands_at(folder)
-    if found == "a folder" and all(
-        DROPPINGS.fullmatch(path.name) or OURS.fullmatch(path.name) for path in folder.iterdir()
-    ):
-        return ""
-    return found
+    names = (path.name for path in folder.iterdir()) if found == "a folder" else [folder.name]
+    left = all(DROPPINGS.fullmatch(name) or OURS.fullmatch(name) for name in names)
+    return "" if found == "a folder" and left else found
 
 
 def require_free(path: str | Path, *, overwrite: bool = False) -> Path:
@@ -63,37 +62,47 @@ def require_free(path: str | Path, *, overwrite: bool = False) -> Path:
     path = Path(path)
     require_outside(path, fix="Give another name: a database holds only what a build writes.")
     found = what_stands_at(path) if os.path.lexists(path) else ""
-    if found and not (overwrite and found == "a file"):
-        fix = "Give another name" + (", or --overwrite." if found == "a file" else ".")
+    zarr = found == "a folder" and path.suffix == ".zarr"  # one picture to its readers
+    if found and not (overwrite and (found == "a file" or zarr)):
+        fix = "Give another name" + (", or --overwrite." if found == "a file" or zarr else ".")
         raise refusal(f"{path.name} already exists", path, "new file", found, fix)
     return path
 
 
-HOME = "~"
+def new_files(folder: Path, *, overwrite: bool = False) -> Callable[[Path], None]:
+    """Return a check for `before_writing`: `require_free` of whatever is written below a folder, once each."""
+    require_outside(folder / "x", fix="Give another folder with -o.")
+    found = stands_in(folder)
+    if found not in ("", "a folder"):
+        raise refusal("the folder cannot be created", folder, "folder", found, "")
+    passed: set[Path] = set()
+
+    def check(path: Path) -> None:
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise refusal("a name points outside the folder", folder, "file in it", str(path), "")
+        if path not in passed:
+            require_free(path, overwrite=overwrite)
+            passed.add(path)
+
+    return check
 
 
 def require_outside(path: Path, *, fix: str) -> None:
-    """Refuse what `require_path` does, and what would stand in a database, a publication or a bag; raises WriteRefused."""
+    """Refuse what `require_path` does, and what would stand in a database or a publication; raises WriteRefused."""
     require_path(path)
     for folder in Path(path).resolve().parents:
         if ours := made(folder):
             what = f"a {ours}: {folder}"
-            raise refusal(
-                "this would be written into a folder of Levkas", path, "folder apart", what, fix
-            )
+            message = "this would be written into a folder of Levkas"
+            raise refusal(message, path, "folder apart", what, fix)
 
 
 def require_path(path: str | Path) -> None:
     """Refuse an address, and a new folder ``~``, which a shell that does not expand an option makes; raises WriteRefused."""
     if is_address(path := Path(path)):
-        where = "a folder of this machine"
-        raise refusal(
-            "this is the address of a server, where nothing can be written",
-            path,
-            where.removeprefix("a "),
-            "an address",
-            f"Write to {where}, then copy that there; docs/howto/remote.md shows how.",
-        )
+        fix = "Write to a folder of this machine, then copy that there; docs/howto/remote.md shows how."
+        message = "this is the address of a server, where nothing can be written"
+        raise refusal(message, path, "folder of this machine", "an address", fix)
     if HOME in path.parts and not os.path.lexists(path):
         fix = "Write the whole path; in an option, a blank in place of the = before ~."
         raise refusal("~ means a home to shells alone", path, "path", f"a folder {HOME!r}", fix)
@@ -108,113 +117,9 @@ def is_address(path: str | Path) -> bool:
     return any(re.fullmatch(f"({SCHEMES}):", part, re.IGNORECASE) for part in Path(path).parts)
 
 
-class OwnFiles:
-    """Files that are written into a folder one by one, beside other files.
-
-    With `overwrite` files that are not ours, or were changed since, may be replaced.
-    """
-
-    def __init__(self, folder: str | Path, *, overwrite: bool = False) -> None:
-        self.folder, self.overwrite = Path(folder), overwrite
-        require_outside(self.folder / RECORD, fix="Give another folder with -o.")
-        found = stands_in(self.folder)
-        if found not in ("", "a folder"):
-            raise refusal("the folder cannot be created", self.folder, "folder", found, "")
-        self._files = _record(self.folder / RECORD)
-
-    @contextlib.contextmanager
-    def writing(self) -> Iterator[None]:
-        """Let what this thread writes in the block replace only files of ours; raises WriteRefused before it replaces another."""
-        from levkas.core.files import before_writing
-
-        touched: list[Path] = []
-
-        def claim_once(path: Path) -> None:
-            if path.name != RECORD and path not in touched:
-                self.claim(path)
-                touched.append(path)
-
-        try:
-            with before_writing(claim_once):
-                yield
-        finally:
-            self.keep(*touched)
-
-    def claim(self, path: Path) -> None:
-        """Take the name of a file that is about to be written; raises WriteRefused as `writing`."""
-        name = self._name(path)
-        self._require(path, name)
-        self._files[name] = None
-        self._save()
-
-    def keep(self, *paths: Path) -> None:
-        """Record files whose names were claimed as they are now; those that were not written go."""
-        for path in paths:
-            self._files.pop(name := self._name(path), None)
-            if digest := _hash(path):
-                self._files[name] = digest
-        if paths:
-            self._save()
-
-    def _require(self, path: Path, name: str) -> None:
-        if name.startswith("../") or Path(name).is_absolute():
-            raise refusal("a name points outside the folder", self.folder, "file in it", name, "")
-        if self.overwrite and name in self._files and path.is_dir():
-            return
-        if self.overwrite or not os.path.lexists(path):
-            require_free(path, overwrite=True)
-        elif name not in self._files or self._files[name] not in (None, _hash(path)):
-            why = "was changed since" if name in self._files else "was not written by it"
-            fix = "Give another folder with -o, or --overwrite."
-            raise refusal(f"{name} {why}", path, "file that Levkas wrote", "another", fix)
-
-    def _name(self, path: Path) -> str:
-        return Path(os.path.relpath(path, self.folder)).as_posix()
-
-    def _save(self) -> None:
-        from levkas.core.files import write_json
-
-        write_json(self.folder / RECORD, {"files": dict(sorted(self._files.items()))})
-
-
-def _head(path: Path) -> bytes:
-    try:
-        if not path.is_file():
-            return b""
-        with path.open("rb") as file:
-            return file.read(LONGEST_MARK)
-    except OSError:
-        return b""
-
-
-def _record(path: Path) -> dict[str, str | None]:
-    if not os.path.lexists(path):
-        return {}
-    try:
-        return {str(name): digest for name, digest in dict(read_json(path)["files"]).items()}
-    except (Refused, KeyError, TypeError, ValueError):
-        what = "another file of that name"
-        raise refusal(
-            f"{RECORD} was not written by Levkas", path, "record by Levkas", what, ""
-        ) from None
-
-
-def _hash(path: Path) -> str:
-    """Digest of a file, or of all that a folder holds; empty where nothing stands there."""
-    if path.is_dir():
-        return hashlib.sha256(json.dumps(hash_tree(path)).encode()).hexdigest()
-    return hash_file(path) if path.is_file() else ""
-
-
 def refusal(message: str, path: Path, expected: str, found: str, fix: str) -> WriteRefused:
     """Make the refusal of a place that is not ours to write."""
+    fix = fix or "Give another folder with -o."
     return WriteRefused(
-        Problem(
-            "E_UNWRITABLE",
-            message,
-            file=str(path),
-            found=found,
-            expected=f"a {expected}",
-            fix=fix or "Give another folder with -o.",
-        )
+        Problem("E_UNWRITABLE", message, str(path), found=found, expected=f"a {expected}", fix=fix)
     )

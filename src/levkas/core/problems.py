@@ -9,16 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from typing import Any
 
-LONGEST_VALUE = 2000
-"""Characters of a value in a message; the rest of a longer one is left out."""
-LONGEST_SHOWN = 240
-"""Characters of a value in the lines that people read."""
-LONGEST_NAME = 80
+LONGEST_VALUE, LONGEST_SHOWN = 2000, 240
+"""Characters of a value in a message, and in the lines that people read; the rest of a longer one is left out."""
+LONGEST_NAME, MOST_COMPARED = 80, 20_000
+"""Characters of a name, and pairs of names, whose likeness is looked at, some 10 µs each."""
 SCHEMES = "abfss?|az|dav|file|ftp|gcs|gs|hf|https?|s3a?|sftp|ssh|webdav"
 """Beginnings of addresses: no folder of anybody's is called so, with a colon."""
 _ADDRESS = re.compile(rf"(?:.*?[/\\])?((?:{SCHEMES}):)[/\\]([^/\\].*)", re.IGNORECASE | re.DOTALL)
-MOST_COMPARED = 20_000
-"""Pairs of names whose likeness is looked at, one after the other; each takes some 10 µs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +30,6 @@ class Problem:
         One sentence: what is wrong.
     file, field : str, optional
         Where: a path, and a key, tag or header field in it.
-    found, expected : optional
-        What was there and what should have been.
-    fix : str, optional
-        What to do about it.
 
     Raises
     ------
@@ -66,12 +59,10 @@ class Problem:
         return hash((self.code, self.message, self.file, self.field, str(self.found), self.fix))
 
     def __str__(self) -> str:
-        parts = [
-            f"{name}: {_shortened(str(value))}"
-            for name in ("file", "field", "found", "expected")
-            if (value := getattr(self, name)) is not None
-        ]
-        text = _shortened(self.message) + (f" ({'; '.join(parts)})" if parts else "")
+        names = ("file", "field", "found", "expected")
+        values = {name: value for name in names if (value := getattr(self, name)) is not None}
+        parts = "; ".join(f"{name}: {_shortened(str(value))}" for name, value in values.items())
+        text = _shortened(self.message) + (f" ({parts})" if parts else "")
         return f"{text}. {self.fix}" if self.fix else text
 
     @property
@@ -107,13 +98,12 @@ def _as_written(path: str) -> str:
     return found[1] + slashes + found[2].replace("\\", "/")
 
 
-def _shortened(text: str) -> str:
-    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]} …"
+def _shortened(text: str, most: int = LONGEST_VALUE) -> str:
+    return text if len(text) <= most else f"{text[:most]} …"
 
 
 def _one_line(value: Any, most: int = LONGEST_SHOWN) -> str:
-    text = " ".join(str(value).split())
-    return text if len(text) <= most else f"{text[:most]} …"
+    return _shortened(" ".join(str(value).split()), most)
 
 
 def closest_match(text: str, known: Iterable[str]) -> str | None:
@@ -148,8 +138,8 @@ def unknown_name(
 def gathered(problems: Iterable[Problem], *, cut: bool = False) -> list[Problem]:
     """Return problems with those of several files that come of one key as one, with their number.
 
-    It names the first file, and has the largest of the numbers that were found; `cut` says that there
-    may be more. Problems of files themselves stay apart: each of these has to be mended.
+    It names the first file, and has the largest of the numbers that were found; `cut` says that there may be more. Problems
+    of files themselves stay apart: each of these has to be mended.
 
     >>> alike = (Problem("E_BITS", "codes exceed 12 bits", f"{n}.tif", "bits", n) for n in (5000, 9000))
     >>> print(*gathered(alike))
@@ -171,12 +161,7 @@ def gathered(problems: Iterable[Problem], *, cut: bool = False) -> list[Problem]
 
 
 class Refused(Exception):
-    """Refusal of an input; the base of every error of Levkas that a user can correct.
-
-    Parameters
-    ----------
-    *problems : Problem
-        Every reason, not only the first.
+    """Refusal of an input, with every reason as a `Problem`; the base of every error of Levkas that a user can correct.
 
     Raises
     ------

@@ -18,12 +18,11 @@ MOST_BESIDE = 1000
 """Names beside one that does not exist that are looked at."""
 LARGEST_TABLE = 16 << 20
 """Bytes of a CSV or a JSON record."""
-DEEPEST = 64
-"""Brackets within brackets of a JSON record; Python's parser calls itself for each."""
+DEEPEST, MOST_TOKENS = 64, 1_000_000
+"""Brackets within brackets of a JSON record, for each of which Python's parser calls itself; texts and brackets: records that
+Levkas writes have some thousands."""
 LONGEST_PART, LONGEST_PATH = 255, 4095
 """Bytes of a file's name, and of a path: the limits of Linux (limits.h); those of macOS and Windows are no larger."""
-MOST_TOKENS = 1_000_000
-"""Texts and brackets of a JSON record; those that Levkas writes have some thousands."""
 KINDS = (
     (stat.S_ISREG, "a file"),
     (stat.S_ISDIR, "a folder"),
@@ -34,28 +33,34 @@ KINDS = (
 )
 CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
 """Characters that no text of a person has: controls but tabulator and line ends, halves of characters."""
-_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 _BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
+WRITE_AGAIN = "Write the file again with its original program."
 
 
 class TextRefused(Refused):
     """A file of text that cannot be read, is too large, or is not of its format."""
 
 
-def check_file(path: Path, expected: str) -> None:
-    """Refuse what is no plain file: opening a pipe waits for ever, a device has no end."""
-    found = what_stands_at(path)
-    if found != "a file":
-        raise TextRefused(
-            Problem(
-                "E_UNREADABLE",
-                f"{path.name} cannot be read",
-                str(path),
-                found=found,
-                expected=expected,
-                fix="Add the file, or correct its name.",
-            )
-        )
+def _unreadable(name: str, file: Any, found: str, expected: str, fix: str) -> TextRefused:
+    message, file = f"{name} cannot be read", None if file is None else str(file)
+    return TextRefused(Problem("E_UNREADABLE", message, file, None, found, expected, fix))
+
+
+def _too_large(what: str, file: Any, found: str, expected: str, fix: str) -> TextRefused:
+    file = None if file is None else str(file)
+    return TextRefused(Problem("E_SIZE", what, file, None, found, f"at most {expected}", fix))
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, plural unless the number is 1.
+
+    >>> counted(1, "band"), counted(31, "band")
+    ('1 band', '31 bands')
+    """
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
+# --- names ------------------------------------------------------------------------------------
 
 
 def unusable_name(path: str | Path) -> str:
@@ -87,15 +92,6 @@ def unusable_text(text: str) -> str:
     return ""
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, plural unless the number is 1.
-
-    >>> counted(1, "band"), counted(31, "band")
-    ('1 band', '31 bands')
-    """
-    return f"{number} {noun}" + ("" if number == 1 else "s")
-
-
 def what_stands_at(path: Path) -> str:
     """Return ``"a file"``, or in words what else a name leads to; nothing is opened.
 
@@ -109,6 +105,13 @@ def what_stands_at(path: Path) -> str:
     except (OSError, ValueError) as error:  # a name that is too long, or holds a null byte
         return getattr(error, "strerror", None) or str(error)
     return next((words for is_one, words in KINDS if is_one(mode)), "no plain file")
+
+
+def check_file(path: Path, expected: str) -> None:
+    """Refuse what is no plain file: opening a pipe waits for ever, a device has no end."""
+    if (found := what_stands_at(path)) != "a file":
+        fix = "Add the file, or correct its name."
+        raise _unreadable(path.name, path, found, expected, fix)
 
 
 def missing_path(path: Path, what: str = "folder") -> Problem | None:
@@ -127,6 +130,9 @@ def missing_path(path: Path, what: str = "folder") -> Problem | None:
     return Problem("E_UNREADABLE", message, str(path), found=f"no such {what}", fix=fix)
 
 
+# --- texts ------------------------------------------------------------------------------------
+
+
 def read_text(path: Path, expected: str, *, most: int = LARGEST_TABLE) -> str:
     """Read a text in UTF-8 of at most `most` bytes; line ends come as they are.
 
@@ -135,21 +141,11 @@ def read_text(path: Path, expected: str, *, most: int = LARGEST_TABLE) -> str:
     """
     check_file(path, expected)
     try:
-        if path.stat().st_size > most:  # of a file on a server, before it is read
-            raise _too_large(path.name, str(path), most)
         with path.open("rb") as file:
             return read_stream(file, path.name, expected, file=str(path), most=most)
     except OSError as error:
-        raise TextRefused(
-            Problem(
-                "E_UNREADABLE",
-                f"{path.name} cannot be read",
-                str(path),
-                found=error.strerror or str(error),
-                expected=expected,
-                fix="Make it readable, or copy it again.",
-            )
-        ) from error
+        found, fix = error.strerror or str(error), "Make it readable, or copy it again."
+        raise _unreadable(path.name, path, found, expected, fix) from error
 
 
 def read_stream(
@@ -163,34 +159,18 @@ def read_stream(
     """Read a text in UTF-8 from an open file, such as standard input, as `read_text` does."""
     data = stream.read(most + 1)
     if len(data) > most:
-        raise _too_large(name, file, most)
+        found, fix = f"over {most >> 20} MiB", "Name the correct file, or remove foreign content."
+        message = f"{name}: the file is too large"
+        raise _too_large(message, file, found, f"{most >> 20} MiB", fix)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = 1 + data.count(b"\n", 0, error.start)
-        raise TextRefused(
-            Problem(
-                "E_UNREADABLE",
-                f"{name} cannot be read",
-                file,
-                found=f"a byte that is not UTF-8 in line {line}",
-                expected=expected,
-                fix="Save it again as text in UTF-8.",
-            )
-        ) from error
+        found = f"a byte that is not UTF-8 in line {1 + data.count(10, 0, error.start)}"
+        fix = "Save it again as text in UTF-8."
+        raise _unreadable(name, file, found, expected, fix) from error
 
 
-def _too_large(name: str, file: str | None, most: int) -> TextRefused:
-    return TextRefused(
-        Problem(
-            "E_SIZE",
-            f"{name}: the file is too large",
-            file,
-            found=f"over {most >> 20} MiB",
-            expected=f"at most {most >> 20} MiB",
-            fix="Name the correct file, or remove foreign content from it.",
-        )
-    )
+# --- JSON -------------------------------------------------------------------------------------
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -198,31 +178,14 @@ def read_json(path: Path) -> dict[str, Any]:
     text = read_text(path, "a JSON table in UTF-8")
     if too_much := _too_much(text):
         what, found, expected = too_much
-        raise TextRefused(
-            Problem(
-                "E_SIZE",
-                f"{path.name}: it {what}",
-                str(path),
-                found=found,
-                expected=f"at most {expected}",
-                fix="Write the file again with its original program.",
-            )
-        )
+        raise _too_large(f"{path.name}: it {what}", path, found, expected, WRITE_AGAIN)
     try:
         record = parse_json(text)
         if not isinstance(record, dict):
             raise ValueError("it is not a table of keys and values")
     except (ValueError, RecursionError) as error:
-        raise TextRefused(
-            Problem(
-                "E_UNREADABLE",
-                f"{path.name} is not valid JSON",
-                str(path),
-                found=str(error)[:200],
-                expected="a JSON table, each key once, finite numbers",
-                fix="Write the file again with its original program.",
-            )
-        ) from error
+        expected = "a JSON table, each key once, finite numbers"
+        raise _unreadable(path.name, path, str(error)[:200], expected, WRITE_AGAIN) from error
     return record
 
 
@@ -234,9 +197,9 @@ def parse_json(text: str) -> Any:
     ValueError: the key 'a' occurs twice
     """
     record = json.loads(
-        text, object_pairs_hook=_unique, parse_constant=_no_number, parse_float=_finite
+        text, object_pairs_hook=_unique, parse_constant=_finite, parse_float=_finite
     )
-    if _SURROGATE.search(text):  # as escapes; those of a pair are one character
+    if r"\u" in text:  # halves of characters may come as escapes; those of a pair are one
         try:
             json.dumps(record, ensure_ascii=False).encode()
         except UnicodeEncodeError:
@@ -256,16 +219,12 @@ def parse_bounded(text: str) -> Any:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    record = dict(pairs)
-    if len(record) != len(pairs):
-        earlier: set[str] = set()
-        twice = next(name for name, _ in pairs if name in earlier or earlier.add(name))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {twice!r} occurs twice")
+    record: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in record:
+            raise ValueError(f"the key {name!r} occurs twice")
+        record[name] = value
     return record
-
-
-def _no_number(name: str) -> Any:
-    raise ValueError(f"{name} is not a JSON number")
 
 
 def _finite(text: str) -> float:

@@ -209,14 +209,14 @@ def write_agreement(
     Raises
     ------
     WriteRefused
-        Where a file that Levkas did not write has the name.
+        Where a file of the name is there already.
     """
-    from levkas.core.files import write_json, write_text
-    from levkas.core.ownership import OwnFiles
+    from levkas.core.files import before_writing, write_json, write_text
+    from levkas.core.ownership import new_files
 
     folder = folder.resolve()
     path = folder / "agreement.html"
-    with OwnFiles(folder, overwrite=overwrite).writing():
+    with before_writing(new_files(folder, overwrite=overwrite)):
         write_json(folder / "agreement.json", {"objects": [one.to_dict() for one in found]})
         write_text(path, render_agreement(first, second, found))
     return path

@@ -23,10 +23,10 @@ def write_page(report: EstimationReport, folder: Path, *, overwrite: bool = Fals
     Raises
     ------
     WriteRefused
-        Where a file that Levkas did not write has the name.
+        Where a file of the name is there already.
     """
-    from levkas.core.files import write_json, write_text
-    from levkas.core.ownership import OwnFiles
+    from levkas.core.files import before_writing, write_json, write_text
+    from levkas.core.ownership import new_files
 
     folder = Path(folder).resolve()
     models = {
@@ -35,7 +35,7 @@ def write_page(report: EstimationReport, folder: Path, *, overwrite: bool = Fals
         for model in source.models
     }
     names = ("estimation.html", "estimation.json", *models)
-    with OwnFiles(folder, overwrite=overwrite).writing():
+    with before_writing(new_files(folder, overwrite=overwrite)):
         write_json(folder / "estimation.json", report.to_dict())
         for name, model in models.items():
             model.save(folder / name)

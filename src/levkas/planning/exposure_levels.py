@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.core.blocks import block_means
+from levkas.core.transpose import block_means
 
 CHANCE = 1e-6
 DRIFT = 0.01  # by which the lamp may grow until the object is captured, relative

@@ -276,8 +276,7 @@ def publish(
         Where `output` is anything but an earlier publication, or the disk refuses; an earlier
         publication is kept then.
     """
-    from levkas.core.files import publishing
-    from levkas.core.sweeping import sweep_beside
+    from levkas.core.files import publishing, sweep_beside
     from levkas.database.manifest import write_manifest
     from levkas.publish.analysis import check_analyses
     from levkas.publish.citation import check_datacite

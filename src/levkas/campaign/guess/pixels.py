@@ -12,8 +12,8 @@ import numpy as np
 from levkas.calibration.codes import SceneShots, find_full_scale
 from levkas.calibration.patterns import thin_periods
 from levkas.calibration.sight import LAMP, Sight, difference_between
-from levkas.core.blocks import block_means
 from levkas.core.problems import Refused
+from levkas.core.transpose import block_means
 
 if TYPE_CHECKING:
     from levkas.calibration.codes import FullScale

@@ -67,16 +67,17 @@ def export(
     objects, cameras : sequence of str
         Only these; default all.
     overwrite : bool
-        Whether a file may be replaced that no export wrote, or that was changed since.
+        Whether files that are there may be replaced.
 
     Raises
     ------
     ExportRefused
         Where nothing of that name is in the database, or a layer does not fit the format.
     WriteRefused
-        Where such a file exists, or the disk refuses.
+        Where a file is there already, or the disk refuses.
     """
-    from levkas.core.ownership import OwnFiles
+    from levkas.core.files import before_writing
+    from levkas.core.ownership import new_files
     from levkas.database.catalogue import database_of
     from levkas.database.reader import Database
     from levkas.database.remote import is_remote
@@ -103,15 +104,15 @@ def export(
                 fix="Give another folder with -o.",
             )
         )
-    own = OwnFiles(folder, overwrite=overwrite)
+    check = new_files(folder, overwrite=overwrite)
     for done, (name, camera, setup) in enumerate(layers, 1):
         layer = ExportLayer.read(root, name, camera, setup)
-        with own.writing():
+        with before_writing(check):
             files = writer(layer, folder)
         yield Exported(layer.stem, tuple(files), done, len(layers))
     finish = getattr(import_module(FORMS[form].partition(":")[0]), "finish", None)
     if finish is not None:
-        with own.writing():
+        with before_writing(check):
             campaign = _campaign(database, root) if form == "ngff" else None
             read = (ExportLayer.read(root, *layer) for layer in layers)
             files = finish([replace(layer, campaign=campaign) for layer in read], folder)
