@@ -9,7 +9,7 @@ import pytest
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.edits import read_edits
 from levkas.geometry.transforms import Affine
-from levkas.stages.register import corrections_of
+from levkas.stages.control_points import corrections_of
 from levkas.workbench.library import Library, id_of
 from levkas.workbench.server.routes import describe_frame
 

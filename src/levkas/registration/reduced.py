@@ -21,12 +21,10 @@ LEAST_SIDE = 250
 
 def reduce_target(request: Request, factor: int = FACTOR) -> Request:
     """Return the request with the target's pictures reduced, and what is stated in px of them."""
-    back = Inverse(Affine.of_box(0, 0, factor))
+    grow = Affine.of_box(0, 0, factor)
     align: Mapping[str, Any] = {
         sensor: Composed(
-            Affine.of_box(0, 0, factor),
-            one if callable(one) else Affine(np.asarray(one, float)),
-            back,
+            grow, one if callable(one) else Affine(np.asarray(one, float)), Inverse(grow)
         )
         for sensor, one in request.align.items()
     }
@@ -61,8 +59,15 @@ def reduced(image: BandImage, factor: int) -> BandImage:
 def enlarged(found: Registration, factor: int = FACTOR) -> Registration:
     """Return a registration of reduced pictures as one of native pixels."""
     grow = Affine.of_box(0, 0, factor)
+    errors = dict(found.errors)
+    if "check_points" in errors:
+        errors["check_points"] = [
+            one | {"target": grow(np.array([one["target"]]))[0].tolist()}
+            for one in errors["check_points"]
+        ]
     return replace(
         found,
+        errors=errors,
         transforms={label: Composed(one, grow) for label, one in found.transforms.items()},
         matches=replace(found.matches, target=grow(found.matches.target)),
         others={s: replace(m, target=grow(m.target)) for s, m in found.others.items()},

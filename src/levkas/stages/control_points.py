@@ -1,4 +1,4 @@
-"""Control points that campaign.toml names: read for one capture, as check points, seeds or candidates of a start."""
+"""Pairs that people set for one capture: files of points that campaign.toml names, and corrections in edits.toml."""
 
 from __future__ import annotations
 
@@ -93,6 +93,40 @@ def declared_points(
         parts = {kind: rows[points.enabled & ~checks], "checks": rows[checks]}
         pairs = placed_pairs(ManualPoints(**parts, accepted=accepted), placed)
         found[sensor] = found[sensor].joined(pairs) if sensor in found else pairs
+    return found
+
+
+def corrections_of(
+    campaign: Campaign, capture: Capture, channel: str = ""
+) -> tuple[dict[str, ManualPoints], dict[str, float]]:
+    """Return the pairs by hand of a capture, or of a tile, by sensor, and `reject` and `stop` where set by hand.
+
+    Pairs come from edits.toml and from the file of points that campaign.toml names; `channel` is the capture's reference channel.
+    """
+    from levkas.registration.manual_points import ManualPoints
+
+    given, options = {}, {}
+    for band, edits in campaign.edits.of_layer(capture.object, capture.frame).items():
+        sensor, placed = placed_in(capture, band, channel)
+        pairs = ManualPoints(**edits.pairs(), accepted=edits.accept == BY_HAND)
+        given[sensor] = placed_pairs(pairs, placed)
+        set_by_hand = {"reject": edits.reject, "stop": edits.stop}
+        options |= {key: value for key, value in set_by_hand.items() if value is not None}
+    declared = {} if capture.tile else declared_points(campaign, capture, channel)
+    for sensor, pairs in declared.items():
+        given[sensor] = given[sensor].joined(pairs) if sensor in given else pairs
+    return given, options
+
+
+def corrections_beside(campaign: Campaign, capture: Capture) -> dict[tuple[str, str], ManualPoints]:
+    """Return the pairs by hand of the tiles of the reference: (neighbour, tile) → px of either."""
+    from levkas.registration.manual_points import ManualPoints
+
+    found = {}
+    for names, bands in campaign.edits.of_tiles(capture.object, capture.layer).items():
+        tile, _, neighbour = names.partition("#")
+        edits = next(iter(bands.values()))
+        found[neighbour, tile] = ManualPoints(**edits.pairs(), accepted=edits.accept == BY_HAND)
     return found
 
 

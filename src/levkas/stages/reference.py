@@ -41,12 +41,7 @@ if TYPE_CHECKING:
 class ReferenceFrame:
     """The reference camera's bands of one object, its registration, and the grid that they lay out.
 
-    Parameters
-    ----------
-    captures : sequence of Capture
-        Of the object, the reference camera's own first.
-    native : CalibratedCapture
-        Its calibrated bands.
+    `captures` are the object's, the reference camera's own first, and `native` is that one calibrated.
     """
 
     def __init__(
@@ -121,11 +116,10 @@ class ReferenceFrame:
     @cached_property
     def band(self) -> str:
         """Label of the reference band."""
-        bands = self.capture.bands
-        wanted = self.campaign.reference.band
-        labels = [band.label for band in bands]
+        bands, wanted = self.capture.bands, self.campaign.reference.band
         if wanted is None:
             return middle_band(bands)
+        labels = [band.label for band in bands]
         return labels[find_band(labels, wanted, [band.wavelength for band in bands])]
 
     @property
@@ -141,12 +135,6 @@ class ReferenceFrame:
         grey = GreyImages([*sqrt_images(own).values()])[0]
         outline = (np.array(self.outline or ()) + 0.5) / self.step - 0.5
         return ObjectArea.of(grey, outline=outline)
-
-    @property
-    def sides(self) -> list[float] | None:
-        """The sides of the object, reference px, the shorter first; None where no edge of it is visible."""
-        sides = self.area.sides
-        return None if sides is None else [round(self.step * side, 2) for side in sides]
 
     def prepared(self, region: Region | None, *, own: bool) -> PreparedReference:
         """Return the bands as the default method takes them, prepared once for all captures.
@@ -187,19 +175,14 @@ class ReferenceFrame:
         """Return the reference camera's own registration, from this run or from its record."""
         if self._own is None:
             record = record_of(self.places, self.capture)
+            bands = record["bands"].items()
+            sigma = {
+                label: Sigma.from_dict(band["sigma"]) for label, band in bands if "sigma" in band
+            }
             self._own = Registration(
-                "",
-                maps_of(record),
-                Verdict("accept"),
-                {},
-                Matches.none(),
-                sigma=sigmas_of(record),
+                "", maps_of(record), Verdict("accept"), {}, Matches.none(), sigma=sigma
             )
         return self._own
-
-    def description(self) -> dict[str, Any]:
-        """Return the reference of a registration's record."""
-        return {"camera": self.capture.camera, "band": self.band, "size": list(self.size)}
 
     def layout(self) -> tuple[Grid, Region | None]:
         """Return the grid, and the declared region in reference px."""
@@ -221,12 +204,6 @@ class ReferenceFrame:
 def record_of(places: Places, capture: Capture) -> dict[str, Any]:
     """Return the registration record of a capture."""
     return read_registration(places.registration(capture.object, capture.layer))
-
-
-def sigmas_of(record: dict[str, Any]) -> dict[str, Sigma]:
-    """Return the uncertainty of the maps of a record's bands, by label, where it is recorded."""
-    bands = record["bands"].items()
-    return {label: Sigma.from_dict(band["sigma"]) for label, band in bands if "sigma" in band}
 
 
 def maps_of(record: dict[str, Any]) -> dict[str, Transform]:

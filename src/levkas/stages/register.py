@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil
@@ -14,7 +14,6 @@ import numpy as np
 
 from levkas import __version__
 from levkas.campaign.camera_kinds import KINDS
-from levkas.campaign.edits import BY_HAND
 from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.files import make_folder, remove, together, write_json, write_text
 from levkas.core.problems import Problem, Refused
@@ -28,7 +27,7 @@ from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.record import COLUMNS, HandMark, Matches
 from levkas.registration.reduced import enlarged
-from levkas.stages.control_points import declared_points, placed_in, placed_pairs
+from levkas.stages.control_points import corrections_beside, corrections_of
 from levkas.stages.native_files import TILE, part_name
 from levkas.stages.tile_placement import place_reference
 from levkas.stages.tile_registration import TilesToReference
@@ -49,10 +48,22 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.geometry.transforms import Transform
-    from levkas.registration import BandImage
-    from levkas.registration.predictors import PreparedReference
     from levkas.stages.parts import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A capture registered by itself."""
+
+    record: dict[str, Any]
+    """Of registration/CAMERA.json."""
+    matches: dict[str, Matches] = field(default_factory=dict)
+    """By sensor, as tables are written of them: the first sensor's under ""."""
+    problems: tuple[Problem, ...] = ()
+    """Why it was refused."""
+    figures: list[list[str]] = field(default_factory=list)
+    """[SVG, caption] of what the map rests on, for the report."""
 
 
 def measure(
@@ -61,22 +72,26 @@ def measure(
     """Register a capture by itself; `frame` takes the registration of the reference camera's own."""
     if capture.tiles:
         return _measure_tiles(capture, native, frame, campaign)
-    leads = capture is frame.capture
-    own = None if leads else frame.registration()
-    channel = frame.channel(capture)
+    leads, channel = capture is frame.capture, frame.channel(capture)
     options = dict(campaign.registration_of(capture.camera))
     method = options.get("method", DEFAULT_METHOD)
     options |= {"one_scan": True} if KINDS[campaign.cameras[capture.camera].kind].one_scan else {}
     given, by_hand = corrections_of(campaign, capture, channel)
-    options |= by_hand
     grid, region = frame.layout()
-    prepared = partial(frame.prepared, region, own=leads)
-    options |= {"outline": frame.outline, "layer": corners_of_grid(grid)}
-    found, refused = None, None
+    width, height = grid.size
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], float) - 0.5
+    options |= by_hand | {
+        "region": region,
+        "outline": frame.outline,
+        "layer": grid.transform(corners),
+        "prepared": partial(frame.prepared, region, own=leads),
+        "align": {
+            s: Affine(np.array(a, float)) for s, a in native.aligns.items() if a != "measure"
+        },
+    }
+    found, refused, figures = None, None, []
     try:
-        found = register_capture(
-            native, frame.images, frame.band, own, region, options, given, prepared
-        )
+        found = _register(native, frame, options, given, own=leads)
     except RegistrationRefused as error:
         refused = _with_outline_named(error, campaign, capture.object)
     if leads and found is not None:
@@ -85,19 +100,38 @@ def measure(
     record = _heading(capture, frame, grid, channel) | {"method": method}
     if (turn := read_headers(capture.sensors[0].object[0].path).orientation) is not None:
         record["target"]["orientation"] = turn
-    record |= _refusal(refused) if found is None else _results(found, native)
-    if found is not None and (pairs := _pairs_by_hand(found)):
-        record["pairs_by_hand"] = pairs
-    problems = verdict_problems(record, capture, refused)
     if found is None:
-        return Measured(record, problems=problems, figures=draw_figures(record))
-    figures = draw_trace(found.matches, found.trace) if found.trace is not None else []
-    return Measured(
-        record,
-        {"": found.matches, **found.others},
-        problems,
-        [[figure.svg, figure.caption] for figure in figures] or draw_figures(record),
-    )
+        record |= _refusal(refused)
+        return Measured(record, problems=verdict_problems(record, capture, refused))
+    record |= _results(found, native)
+    matches = {"": found.matches, **found.others}
+    if pairs := sum(int((m.kept & (m.reason == HandMark.ADDED)).sum()) for m in matches.values()):
+        record["pairs_by_hand"] = pairs
+    if found.trace is not None:
+        figures = [[one.svg, one.caption] for one in draw_trace(found.matches, found.trace)]
+    problems = verdict_problems(record, capture, None)
+    return Measured(record, matches, problems, figures or draw_figures(record))
+
+
+def _register(
+    native: CalibratedCapture,
+    frame: ReferenceFrame,
+    options: dict[str, Any],
+    given: Mapping[str, ManualPoints],
+    *,
+    own: bool,
+) -> Registration:
+    """Register every band of a capture, or of the reference itself; `given` are pairs by hand, by sensor, in native px."""
+    reference = frame.images
+    if own:
+        return register(reference, reference, reference_band=frame.band, given=given, **options)
+    known = frame.registration()
+    found = register(
+        reference, native.images(), reference_band=frame.band,
+        given={sensor: pairs.reduced(native.factor) for sensor, pairs in given.items()},
+        reference_transforms=known.transforms, reference_sigma=known.sigma, **options,
+    )  # fmt: skip
+    return found if native.factor == 1 else enlarged(found, native.factor)
 
 
 def _measure_tiles(
@@ -141,23 +175,6 @@ def _measure_tiles(
         for sensor, pairs in (found[part.tile].matches if part.tile in found else {}).items()
     }
     return Measured(record, tables, problems=problems, figures=draw_figures(record))
-
-
-def corrections_beside(campaign: Campaign, capture: Capture) -> dict[tuple[str, str], ManualPoints]:
-    """Return the pairs by hand of the tiles of the reference: (neighbour, tile) → px of either."""
-    found = {}
-    for names, bands in campaign.edits.of_tiles(capture.object, capture.layer).items():
-        tile, _, neighbour = names.partition("#")
-        given = [ManualPoints(**e.pairs(), accepted=e.accept == BY_HAND) for e in bands.values()]
-        found[neighbour, tile] = given[0]
-    return found
-
-
-def corners_of_grid(grid: Grid) -> np.ndarray:
-    """Return the corners of the published frame, (4, 2) reference px, in order round it."""
-    width, height = grid.size
-    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], float) - 0.5
-    return np.asarray(grid.transform(corners))
 
 
 def _with_outline_named(
@@ -246,91 +263,21 @@ def verdict_problems(
     )
 
 
-def register_capture(
-    native: CalibratedCapture,
-    reference: Sequence[BandImage],
-    reference_band: str,
-    own: Registration | None,
-    region: tuple[float, float, float, float] | None,
-    options: dict[str, Any],
-    given: Mapping[str, ManualPoints] | None = None,
-    prepared: Callable[[], PreparedReference] | None = None,
-) -> Registration:
-    """Register every band of a capture; `own` is the reference camera's registration, None for itself.
-
-    `given` are pairs by hand, by sensor, in native pixels; `prepared` returns the reference made ready.
-
-    Raises RegistrationRefused where there is no answer at all.
-    """
-    align = {s: Affine(np.array(a, float)) for s, a in native.aligns.items() if a != "measure"}
-    if own is None:
-        return register(
-            reference, reference, reference_band=reference_band, region=region, given=given,
-            prepared=prepared, align=align, **options,
-        )  # fmt: skip
-    given = {sensor: pairs.reduced(native.factor) for sensor, pairs in (given or {}).items()}
-    request: dict[str, Any] = {
-        "reference_transforms": own.transforms,
-        "reference_sigma": own.sigma,
-        "align": align,
-        "prepared": prepared,
-    }
-    found = register(
-        reference, native.images(), reference_band=reference_band, region=region, given=given,
-        **request, **options,
-    )  # fmt: skip
-    if native.factor == 1:
-        return found
-    errors = _with_enlarged_checks(found.errors, Affine.of_box(0, 0, native.factor))
-    return replace(enlarged(found, native.factor), errors=errors)
-
-
-def corrections_of(
-    campaign: Campaign, capture: Capture, channel: str = ""
-) -> tuple[dict[str, ManualPoints], dict[str, float]]:
-    """Return the pairs by hand of a capture, or of a tile, by sensor, and `reject` and `stop` where set by hand.
-
-    Pairs come from edits.toml and from the file of points that campaign.toml names; `channel` is the
-    capture's reference channel.
-    """
-    given, options = {}, {}
-    for band, edits in campaign.edits.of_layer(capture.object, capture.frame).items():
-        sensor, placed = placed_in(capture, band, channel)
-        pairs = ManualPoints(**edits.pairs(), accepted=edits.accept == BY_HAND)
-        given[sensor] = placed_pairs(pairs, placed)
-        for key in ("reject", "stop"):
-            if getattr(edits, key) is not None:
-                options[key] = getattr(edits, key)
-    declared = {} if capture.tile else declared_points(campaign, capture, channel)
-    for sensor, pairs in declared.items():
-        given[sensor] = given[sensor].joined(pairs) if sensor in given else pairs
-    return given, options
-
-
-def _with_enlarged_checks(errors: dict[str, Any], grow: Affine) -> dict[str, Any]:
-    if "check_points" not in errors:
-        return errors
-    points = [
-        one | {"target": grow(np.array([one["target"]]))[0].tolist()}
-        for one in errors["check_points"]
-    ]
-    return errors | {"check_points": points}
-
-
 def _heading(capture: Capture, frame: ReferenceFrame, grid: Grid, channel: str) -> dict[str, Any]:
-    """Return the part of registration/CAMERA.json that says what was registered to what."""
+    """Return the part of registration/CAMERA.json that says what was registered to what; ``object_px`` are the object's sides, reference px."""
+    lead, sides = frame.capture, frame.area.sides
     return {
         "levkas": __version__,
         "object": capture.object,
         "camera": capture.camera,
         "setup": capture.setup,
         "method": "",
-        "reference": frame.description(),
+        "reference": {"camera": lead.camera, "band": frame.band, "size": list(frame.size)},
         "target": {"camera": capture.camera, "setup": capture.setup, "band": channel},
         "grid": {
             "size": list(grid.size),
             "transform": grid.transform.to_dict(),
-            "object_px": frame.sides,
+            "object_px": sides and [round(frame.step * side, 2) for side in sides],
         },
     }
 
@@ -365,21 +312,6 @@ def _results(registration: Registration, native: CalibratedCapture) -> dict[str,
     return {**{k: record[k] for k in keep}, "bands": bands}
 
 
-def _pairs_by_hand(found: Registration) -> int:
-    """Count the pairs that a person placed and that were used."""
-    tables = (found.matches, *found.others.values())
-    return sum(int((m.kept & (m.reason == HandMark.ADDED)).sum()) for m in tables)
-
-
-def table_of(matches: Matches) -> str:
-    """Return CAMERA.matches.csv, or that of another sensor than the first."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(matches.rows())
-    return text.getvalue()
-
-
 def write_registration(
     places: Places, capture: Capture, record: dict[str, Any], matches: Mapping[str, Matches]
 ) -> list[Path]:
@@ -393,7 +325,9 @@ def write_registration(
     write_json(path, record)
     tables = {places.matches(name, layer, sensor): pairs for sensor, pairs in matches.items()}
     for place, pairs in tables.items():
-        write_text(place, table_of(pairs))
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([COLUMNS, *pairs.rows()])
+        write_text(place, text.getvalue())
     names = {places.matches(name, layer, sensor.name) for sensor in capture.sensors}
     if capture.tiles:
         names |= {p for p in path.parent.iterdir() if p.name.startswith(f"{layer}.{TILE}")}
@@ -401,25 +335,3 @@ def write_registration(
         if place.is_file():
             remove(place)
     return [path, *tables]
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A capture registered by itself.
-
-    Parameters
-    ----------
-    record : dict
-        Of registration/CAMERA.json.
-    matches : dict of sensor to Matches
-        As tables are written of them: the first sensor's under "".
-    problems : tuple of Problem
-        Why it was refused.
-    figures : list of [SVG, caption]
-        What the map rests on, for the report.
-    """
-
-    record: dict[str, Any]
-    matches: dict[str, Matches] = field(default_factory=dict)
-    problems: tuple[Problem, ...] = ()
-    figures: list[list[str]] = field(default_factory=list)
