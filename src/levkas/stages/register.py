@@ -147,7 +147,6 @@ def _measure_tiles(
             found, placement = place_reference(capture, native, frame.band, campaign, by_hand)
             size = placement.size
             extra = {"placement": placement.to_dict()}
-            del extra["placement"]["transforms"]
         else:
             size = frame.size
             channel = frame.channel(capture)
