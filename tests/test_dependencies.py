@@ -18,7 +18,7 @@ NOT_INSTALLED = {
     "SimpleITK": "simpleitk", "ants": "antspyx", "itk": "itk-elastix", "mahotas": "mahotas",
 }  # fmt: skip
 """Import name → distribution of the extras that the tests' environment does not have."""
-USED = ("export", "peers", "remote")
+USED = ("cluster", "export", "peers", "remote")
 """Extras that the package, or the comparison with its peers, imports."""
 UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
 

@@ -240,7 +240,8 @@ def _gathered(warnings: Iterable[str]) -> list[str]:
 
 def summarise(steps: Iterable[Step], output: Path | None = None) -> BuildReport:
     """Return the report of a build from its steps in the graph's order, problems and warnings each once."""
-    ended = tuple(sorted((step for step in steps if step.finished), key=lambda step: step.place))
+    last = {step.key: step for step in steps if step.finished}
+    ended = tuple(sorted(last.values(), key=lambda step: step.place))
     problems = list(dict.fromkeys(p for step in ended for p in step.problems))
     warnings = tuple(dict.fromkeys(w for step in ended for w in step.warnings))
     output = output or next((step.output for step in ended if step.output), None)

@@ -46,7 +46,8 @@ class Due(NamedTuple):
 class Outcomes:
     """Does the tasks of captures that are due, one after the other, and keeps how each ended; a `dry` one, for `status`, only says.
 
-    A capture ends with the first task that is refused; others go on. `unread` as of `Inputs`.
+    A capture ends with the first task that is refused; others go on. `unread` as of `Inputs`;
+    not `again`: what was refused when it was made of the same is not tried once more.
     """
 
     def __init__(
@@ -59,9 +60,10 @@ class Outcomes:
         *,
         dry: bool = False,
         unread: bool = False,
+        again: bool = True,
     ) -> None:
         self.campaign, self.places, self.records = campaign, places, records
-        self.graph, self.dry = graph, dry
+        self.graph, self.dry, self.again = graph, dry, again
         self.inputs = Inputs(campaign, records, unread=unread)
         self.ended: dict[Key, Step] = {}
         self.lost: dict[LayerId, Step] = {}
@@ -90,7 +92,8 @@ class Outcomes:
             yield from filter(None, [step])
             return
         due = self.due(task)
-        if self.dry or not due.why:
+        known = not self.again and bool(self.records.refusal(task.key, due.prints))
+        if self.dry or known or not due.why:
             yield from self._described_anew(due)
             yield self._end(task, self.state(due))
             return

@@ -93,7 +93,7 @@ class Plan:
         refusals = {key: r for key, r in self.refusals.items() if key[0] in objects}
         wanted = (key for key in self.graph if key.object in objects)
         graph = {task.key: task for task in ordered(self.graph, wanted)}
-        return Plan(self.campaign, captures, refusals, graph, {})
+        return replace(self, captures=captures, refusals=refusals, graph=graph)
 
 
 def read_plan(path: str | Path) -> Plan:

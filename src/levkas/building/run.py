@@ -47,6 +47,7 @@ def build(
     objects: list[str] | None = None,
     verify: bool = False,
     alone: bool = False,
+    again: bool = True,
 ) -> Iterator[Step]:
     """Build the database of a campaign, yielding each stage as it begins and as it ends.
 
@@ -62,6 +63,8 @@ def build(
         Read every file anew, whatever its size, times and inode say.
     alone : bool
         Only what the objects do not share: no page of a camera, no page that reads one, no catalogue and manifest.
+    again : bool
+        Try once more what was refused when it was made of the same.
 
     Yields
     ------
@@ -93,7 +96,7 @@ def build(
     sweep_corrections(campaign.root)
     session = hashes_of_session(campaign.root)
     records = BuildRecords(places.kept, places.output, verify=verify, session=session)
-    one = _Build(plan, places, records, whole.names, objects)
+    one = _Build(plan, places, records, whole.names, objects, again=again)
     yield from one.numbered(one.steps(alone=alone))
     if not objects:
         keys = (key for key in records.recorded() if key.stage == "calibrate")

@@ -59,18 +59,25 @@ def build(
     output: DatabasePath = None,
     objects: Objects = None,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
+    workers: Annotated[
+        str,
+        typer.Option(
+            help="Build objects side by side: in so many processes, or on the workers of a dask scheduler, given its address.",
+            metavar="NUMBER|ADDRESS",
+        ),
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Build the database of a campaign from its raw frames."""
     from levkas.building import build as build_campaign
     from levkas.building import summarise
 
-    steps = build_campaign(
-        campaign,
-        output=output,
-        objects=objects,
-        verify=verify,
-    )
+    if workers:
+        from levkas.building.workers import build_on
+
+        steps = build_on(workers, campaign, output=output, objects=objects, verify=verify)
+    else:
+        steps = build_campaign(campaign, output=output, objects=objects, verify=verify)
     report = summarise(draw_steps(steps, as_json))
     if as_json or any(step.state == "done" for step in report.stages):
         from levkas.building.layer_verdicts import layer_verdicts, report_line, verdict_lines
@@ -112,17 +119,11 @@ def validate(
             parser=path_or_address,
         ),
     ],
-    threads: Annotated[
-        int | None,
-        typer.Option(help="Files hashed at the same time; default the number of threads.", min=1),
-    ] = None,
     as_json: Json = False,
 ) -> None:
     """Check a database and list every damaged file."""
     from levkas.database.validation import validate as validate_database
 
     quiet = as_json or not sys.stderr.isatty()
-    report = validate_database(
-        database, threads=threads, draw=lambda steps: draw_steps(steps, quiet)
-    )
+    report = validate_database(database, draw=lambda steps: draw_steps(steps, quiet))
     finish("validate", report, as_json)

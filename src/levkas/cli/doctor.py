@@ -37,6 +37,7 @@ LEAST_MEMORY, LEAST_DISK = 4e9, 10e9  # bytes
 OLDEST_LIBRAW = (0, 22, 1)
 """Older ones crash on files made to crash them; rawpy 0.28 is the first to carry it."""
 EXTRAS = {
+    "cluster": "objects built side by side on workers of dask",
     "export": "NetCDF, layers for Photoshop, cubes in HDF5 and MATLAB 7.3",
     "remote": "databases on web servers and in stores like S3",
 }
