@@ -1,7 +1,5 @@
 """Libraries of spectra, as the programs that write them have them."""
 
-import struct
-
 import numpy as np
 import pytest
 import xarray
@@ -42,35 +40,6 @@ def test_spectral_python_reads_a_library_of_ours_and_we_read_its(tmp_path):
     read = levkas.read_spectra(tmp_path / "micro.sli")
     np.testing.assert_allclose(read.wavelength.values, NM)
     np.testing.assert_allclose(read.values, VALUES, rtol=1e-6)
-
-
-def asd(kind, values, white=None, version=b"as7"):
-    """A file by the table of offsets that ASD published."""
-    head = bytearray(484)
-    head[:3], head[186], head[199] = version, kind, 2
-    struct.pack_into("<ff", head, 191, 350.0, 1.0)
-    struct.pack_into("<H", head, 204, len(values))
-    behind = (
-        b"" if white is None else struct.pack("<HqqH", 0xFFFF, 0, 0, 3) + b"lab" + white.tobytes()
-    )
-    return bytes(head) + values.astype("<f8").tobytes() + behind
-
-
-def test_a_spectrum_of_asd_is_reflectance_by_its_white(tmp_path):
-    white, share = np.linspace(800.0, 2000.0, 101), np.linspace(0.1, 0.6, 101)
-    (tmp_path / "one.asd").write_bytes(asd(1, share * white, white))
-    (tmp_path / "plain.asd").write_bytes(asd(1, share))
-    for name in ("one", "plain"):
-        read = levkas.read_spectra(tmp_path / f"{name}.asd")
-        np.testing.assert_allclose(read.values[0], share)
-        assert (
-            read.wavelength.values[[0, -1]].tolist() == [350.0, 450.0]
-            and read.spectrum.item() == name
-        )
-    for name, data in (("raw", asd(0, share)), ("cut", asd(1, share)[:900])):
-        (tmp_path / f"{name}.asd").write_bytes(data)
-        with pytest.raises(Refused):
-            levkas.read_spectra(tmp_path / f"{name}.asd")
 
 
 @pytest.mark.parametrize("content", [b"", b"a,b\nx,y\n", b"ENVI\n", b"\x00\xff" * 300])

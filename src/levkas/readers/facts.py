@@ -41,67 +41,32 @@ class LibraryMissing(UnreadableCapture):
 
 @dataclass(frozen=True)
 class Facts:
-    """Declared by a capture's headers; None where it does not say.
-
-    Parameters
-    ----------
-    kind : str
-        ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"``, ``"raw-colours"`` (a linear DNG), ``"envi"``, of cubes in
-        containers ``"hdf5-cube"`` or ``"mat"``, or of a stack of maps ``"ripple"`` or ``"hdf5"``.
-    shape : tuple of int
-        (h, w) or (h, w, samples) of one page; for ENVI and stacks of maps (lines, samples, bands).
-    pages : int
-        Full-size pages of a TIFF; previews and masks are not counted.
-    bits : int or None
-        Significant bits of a sample.
-    black, saturation : float or None, counts
-        `black` is the mean where sensels differ; `blacks` has that of each then.
-    black_unclear, exposure_unclear, wavelengths_unclear : str or None
-        What a file states that cannot be understood; the fact is None then.
-    pattern : str or None
-        Letters of the tile that repeats over the visible area, row by row: ``"RGGB"``; 36 of X-Trans.
-    band_times_s : tuple of float or None
-        Exposures band by band, where an ENVI header lists several; `exposure_s` is None then.
-    captured : str or None
-        ISO 8601, local time of the camera unless the file states an offset.
-    white_balance : str or None
-        EXIF's ``"auto"`` or ``"manual"``.
-    orientation : int or None
-        EXIF's, 2 to 8, of a file that viewers turn or mirror; pixels are never turned.
-    gain, binning, region : tuple of (field, value) or None
-        Amplification, binning and window of the sensor, as the fields of an ENVI header, or the tag GainControl, give
-        them.
-    wavelengths, fwhm : tuple of float or None, nm
-    nodata : float or None
-        Value of samples that hold nothing; NaN where the file says so.
-    reflectance_scale : tuple of float or None
-        Value of reflectance 1.0 in every band, of a file of reflectance.
-    bad_bands : tuple of int or None
-        Indices of bands that the file calls bad.
-    page_labels : tuple of str or None
-        Labels of pages that may be names of bands: those of files, as ImageJ writes them.
-    encoded : str or None
-        Tone curve that the file states of its codes, which are not proportional to light then.
-    notes : tuple of str
-        What of the file is not used, or taken otherwise than it states.
-    """
+    """Declared by a capture's headers; None where it does not say, of `…_unclear` what it states that cannot be understood."""
 
     path: Path
     kind: str
+    """A key of `frames.READERS`, or ``"raw-colours"``, of a linear DNG."""
     shape: tuple[int, ...]
+    """(h, w) or (h, w, samples) of one page; for ENVI and stacks of maps (lines, samples, bands)."""
     dtype: str
     pages: int = 1
+    """Full-size pages of a TIFF; previews and masks are not counted."""
     bits: int | None = None
+    """Significant bits of a sample."""
     black: float | None = None
+    """Counts; the mean where sensels differ: `blacks` has that of each then."""
     saturation: float | None = None
     blacks: BlackLevels | None = None
     black_unclear: str | None = None
     pattern: str | None = None
+    """Letters of the tile that repeats over the visible area, row by row: ``"RGGB"``; 36 of X-Trans."""
     exposure_s: float | None = None
     band_times_s: tuple[float, ...] | None = None
+    """Exposures band by band, where an ENVI header lists several; `exposure_s` is None then."""
     exposure_unclear: str | None = None
     iso: float | None = None
     captured: str | None = None
+    """ISO 8601, local time of the camera unless the file states an offset."""
     make: str | None = None
     model: str | None = None
     serial: str | None = None
@@ -109,21 +74,30 @@ class Facts:
     focal_mm: float | None = None
     lens: str | None = None
     white_balance: str | None = None
+    """EXIF's ``"auto"`` or ``"manual"``."""
     orientation: int | None = None
+    """EXIF's, 2 to 8, of a file that viewers turn or mirror; pixels are never turned."""
     gain: Settings | None = None
     binning: Settings | None = None
     region: Settings | None = None
     wavelengths: tuple[float, ...] | None = None
+    """nm, as `fwhm`."""
     fwhm: tuple[float, ...] | None = None
     wavelengths_unclear: str | None = None
     nodata: float | None = None
+    """Value of samples that hold nothing; NaN where the file says so."""
     reflectance_scale: tuple[float, ...] | None = None
+    """Value of reflectance 1.0 in every band, of a file of reflectance."""
     bad_bands: tuple[int, ...] | None = None
+    """Indices of bands that the file calls bad."""
     band_names: tuple[str, ...] | None = None
     page_labels: tuple[str, ...] | None = None
+    """Labels of pages that may be names of bands: those of files, as ImageJ writes them."""
     interleave: str | None = None
     encoded: str | None = None
+    """Tone curve that the file states of its codes, which are not proportional to light then."""
     notes: tuple[str, ...] = ()
+    """What of the file is not used, or taken otherwise than it states."""
 
     @property
     def is_cube(self) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 from importlib import import_module
-from math import prod
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -35,8 +34,8 @@ __all__ = [
 ]
 
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-LARGEST_SAMPLE, BLOCKS, BLOCK = 16 << 20, 8, 60
-"""Samples of a glimpse of a frame; blocks they are taken from, and what their sides are multiples of."""
+LARGEST_SAMPLE, BLOCK = 16 << 20, 60
+"""Samples of a glimpse of a frame; rows that they are taken by."""
 MOST_FACTS = 1 << 15
 """Files whose facts are kept in memory, about 1 kB each."""
 EXPECTED = "TIFF, PNG, JPEG, camera raw, ENVI with its header, or a cube in HDF5 or MATLAB"
@@ -221,32 +220,17 @@ def read_plane(path: str | Path, *, page: int | None = None) -> np.ndarray:
 
 
 def read_sample(path: str | Path, *, most: int = LARGEST_SAMPLE) -> np.ndarray:
-    """Read a frame, or of one of more than `most` samples blocks of rows and columns spread over it.
+    """Read a frame, or of one of more than `most` samples bands of rows spread over it.
 
-    All samples are decoded. Blocks begin at multiples of 60 px, so that the tiles of a mosaic go on through them.
+    All samples are decoded. Bands begin at multiples of 60 px and are as high, so that the tiles of a mosaic go on through
+    them.
     """
-    facts = read_facts(path)
     values = read_frame(path)
-    if facts.kind == "envi" or prod(facts.shape) <= most:
+    count = max(1, most // (BLOCK * values[0].size))
+    if values.size <= most or count * BLOCK >= len(values):
         return values
-    pixels = most // prod(facts.shape[2:])
-    columns = _spread(facts.shape[1], pixels // (BLOCKS * BLOCK))
-    rows = _spread(facts.shape[0], pixels // sum(stop - start for start, stop in columns))
-    lines = [[values[slice(*r), slice(*c)] for c in columns] for r in rows]
-    return np.concatenate([np.concatenate(line, axis=1) for line in lines])
-
-
-def _spread(length: int, most: int) -> list[tuple[int, int]]:
-    """Return where up to `most` of `length` places are taken from, in blocks spread over all.
-
-    >>> _spread(100, 480), _spread(10_000, 1000)[:3]
-    ([(0, 100)], [(0, 120), (1380, 1500), (2820, 2940)])
-    """
-    size = max(BLOCK, most // BLOCKS // BLOCK * BLOCK)
-    if length <= max(most, BLOCKS * size):
-        return [(0, length)]
-    starts = (i * (length - size) // (BLOCKS - 1) // BLOCK * BLOCK for i in range(BLOCKS))
-    return [(start, start + size) for start in starts]
+    starts = np.linspace(0, len(values) // BLOCK - 1, count).astype(int) * BLOCK
+    return np.concatenate([values[start : start + BLOCK] for start in starts])
 
 
 def _call(kind: str, which: Literal["facts", "frame"], path: Path, *page: int | None) -> Any:

@@ -1,11 +1,10 @@
-"""Libraries of spectra: ENVI `.sli`, as the USGS library has them too, ASD FieldSpec, CSV."""
+"""Libraries of spectra: ENVI `.sli`, as the USGS library has them too, and CSV."""
 
 from __future__ import annotations
 
 import csv
 import io
 import re
-import struct
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,10 +21,7 @@ from levkas.readers.wavelengths import read_centres
 if TYPE_CHECKING:
     import xarray
 
-ASD_HEADER, ASD_TYPES = 484, {0: "f4", 1: "i4", 2: "f8"}
-ASD_RAW, ASD_REFLECTANCE = 0, 1
-LARGEST_ASD = 4 << 20
-EXPECTED = "an ENVI spectral library (.sli or its .hdr), a file of ASD, or a CSV"
+EXPECTED = "an ENVI spectral library (.sli or its .hdr), or a CSV"
 NM_FROM = 100.0
 """Wavelengths of text below it are µm: no library has nanometres that short."""
 Library = tuple[np.ndarray, np.ndarray, list[str]]
@@ -33,7 +29,7 @@ Library = tuple[np.ndarray, np.ndarray, list[str]]
 
 
 def read_spectra(path: str | Path) -> xarray.DataArray:
-    """Read a library of spectra: ENVI's ``.sli`` or its header; ``.asd``; a CSV of wavelength and a column a spectrum.
+    """Read a library of spectra: ENVI's ``.sli`` or its header; a CSV of wavelength and a column a spectrum.
 
     Returns
     -------
@@ -43,8 +39,7 @@ def read_spectra(path: str | Path) -> xarray.DataArray:
     Raises
     ------
     UnreadableCapture
-        Where the file is none of these, is cut, or has no wavelengths; where a spectrum of ASD is neither reflectance nor
-        has its white reference beside it.
+        Where the file is none of these, is cut, or has no wavelengths.
 
     Examples
     --------
@@ -62,8 +57,6 @@ def read_spectra(path: str | Path) -> xarray.DataArray:
             head = file.read(4)
     if path.suffix.lower() in (".sli", ".hdr") or head.startswith(b"ENVI"):
         nm, values, names = _read_sli(path)
-    elif re.match(rb"as[d\d]|ASD", head):
-        nm, values, names = _read_asd(path)
     else:
         nm, values, names = _read_text(path)
     order = np.argsort(nm, kind="stable")
@@ -157,33 +150,6 @@ def _read_sli(path: Path) -> Library:
     if len(names) != lines:
         names = [f"spectrum {number}" for number in range(1, lines + 1)]
     return np.array(nm), values / (header.number("reflectance scale factor") or 1.0), names
-
-
-def _read_asd(path: Path) -> Library:
-    """Read a file of an ASD FieldSpec, versions ASD to as8: 484 bytes of header, the spectrum, its white reference."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_ASD)
-        kind, (first, step) = data[186], struct.unpack_from("<ff", data, 191)
-        dtype = np.dtype("<" + ASD_TYPES[data[199]])
-        count = struct.unpack_from("<H", data, 204)[0]
-        values = np.frombuffer(data, dtype, count, ASD_HEADER).astype(float)
-        behind, white = ASD_HEADER + count * dtype.itemsize, None
-        if data[:3] != b"ASD" and len(data) > behind + 2 and any(data[behind : behind + 2]):
-            words = struct.unpack_from("<H", data, behind + 18)[0]
-            white = np.frombuffer(data, dtype, count, behind + 20 + words).astype(float)
-    except (struct.error, KeyError, IndexError, ValueError) as error:
-        raise _refused(path, "the file is cut, or none of ASD", str(error)) from None
-    if not (count and first > 0 and step > 0):
-        found = f"from {first:g} nm by {step:g} nm"
-        raise _refused(path, "the file has no wavelengths", found)
-    if kind in (ASD_RAW, ASD_REFLECTANCE) and white is not None and white.any():
-        with np.errstate(divide="ignore", invalid="ignore"):
-            values = np.where(white > 0, values / white, np.nan)
-    elif kind != ASD_REFLECTANCE:
-        found, expected = f"data type {kind}", "reflectance, or counts with their white reference"
-        raise _refused(path, "the spectrum is no reflectance", found, expected)
-    return first + step * np.arange(count), values[None], [path.stem]
 
 
 def _read_text(path: Path) -> Library:
