@@ -1,28 +1,32 @@
 """Rounding to the digits kept: of a value those above its noise, at most 16 significant bits; 8 of its sigma.
 
-Digits below the noise are noise, which no codec makes smaller. Where sigma is known, a value is rounded to a multiple of a step
-that is the largest power of two of at most sigma/10, whatever its neighbours are: the error, spread evenly over a step, adds
-step²/12 <= sigma²/1200, 0.08 %, to the variance of one value and, being independent from pixel to pixel, not more to that of a mean.
-Noise of several steps dithers it, so that means are not biased (Widrow & Kollár 2008, doi:10.1017/CBO9780511754661; steps by the
-noise as Pence et al. 2010, doi:10.1086/656249). Where the step would be finer than 16 significant bits, and
-where sigma is not known, a value has these. Sigma, which nobody knows to 1 %, is right to 0.4 %.
+Digits below the noise are noise, which no codec makes smaller. Where sigma is known, a value is rounded to a multiple of a
+step that is the largest power of two of at most sigma/10, whatever its neighbours are: the error, spread evenly over a step,
+adds step²/12 <= sigma²/1200, 0.08 %, to the variance of one value and, being independent from pixel to pixel, not more to
+that of a mean. Noise of several steps dithers it, so that means are not biased (Widrow & Kollár 2008,
+doi:10.1017/CBO9780511754661; steps by the noise as Pence et al. 2010, doi:10.1086/656249). Where the step would be finer
+than 16 significant bits, and where sigma is not known, a value has these. Sigma, which nobody knows to 1 %, is right to 0.4 %.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from levkas.core.compiled import njit
 from levkas.core.machine import tile_rows
 from levkas.core.threads import in_threads
 
 MANTISSA = 23
-VALUE_DROP = MANTISSA - 15
-SIGMA_DROP = MANTISSA - 7
+VALUE_DROP, SIGMA_DROP = MANTISSA - 15, MANTISSA - 7
 """Bits of float32 that are zero."""
 STEP_PER_SIGMA = 0.1
 """Largest step of a value: twice as large adds up to 0.33 % to its variance, half as large 0.02 % for one more bit a value."""
-ROWS = 256
+MOST_STEPS = 1 << 15
+"""Beyond so many, steps are finer than 16 significant bits."""
+EXPONENT = np.uint32(0x7F800000)
+BLOCK_SAMPLES = 1 << 14
+"""Worked on at a time: a cube's worth of temporaries is too much."""
 
 
 def round_values(
@@ -30,17 +34,9 @@ def round_values(
 ) -> np.ndarray:
     """Round float32 to its noise, or to 16 significant bits where these are coarser; NaN and infinity stay.
 
-    Parameters
-    ----------
-    values : ndarray, any shape, float32
-    sigma : ndarray, same shape, float32, optional
-        Random part, one standard deviation, as it is stored: so a reader can tell the step. Values whose sigma is 0, NaN or
-        infinite have 16 significant bits.
-    out : ndarray, optional
-        May be `values` itself.
+    `sigma`, of the same shape, is the random part as it is stored: so a reader can tell the step. Values whose sigma is 0,
+    NaN or infinite have 16 significant bits. `out` may be `values` itself.
 
-    Examples
-    --------
     >>> round_values(np.float32([0.1, 4095.0, 65535.0])).tolist()
     [0.10000038146972656, 4095.0, 65535.0]
 
@@ -49,110 +45,68 @@ def round_values(
     >>> float(round_values(np.float32([0.1]), np.float32([0.01]))[0] * 1024)
     102.0
     """
-    return _rounded(values, VALUE_DROP, out, False, sigma)
+    return _by_rows(_round_to_noise, out, values, *([] if sigma is None else [sigma]))
 
 
 def round_sigma(sigma: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
     """Round float32 to 8 significant bits; NaN and infinity stay. `out` may be `sigma` itself.
 
-    Examples
-    --------
     >>> round_sigma(np.float32([0.1, np.inf])).tolist()
     [0.10009765625, inf]
     """
-    return _rounded(sigma, SIGMA_DROP, out, False)
+    return _by_rows(lambda part: _round(part, SIGMA_DROP), out, sigma)
 
 
 def round_root(variance: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
     """Return `round_sigma` of the root; of a variance below zero it is 0."""
-    return _rounded(variance, SIGMA_DROP, out, True)
+
+    def rounded(part: np.ndarray) -> np.ndarray:
+        return _round(np.sqrt(np.where(part < 0, np.float32(0), part)), SIGMA_DROP)
+
+    return _by_rows(rounded, out, variance)
 
 
 def is_rounded(values: np.ndarray, drop: int) -> bool:
     """Return whether the last `drop` bits of all finite numbers are zero."""
-    for row in range(0, len(values), ROWS):
-        part = np.ascontiguousarray(values[row : row + ROWS], np.float32)
-        if not _all_round(part.reshape(-1).view(np.uint32), np.uint32((1 << drop) - 1)):
-            return False
-    return True
+    step = _rows_of(values)
+    parts = (values[row : row + step] for row in range(0, len(values), step))
+    return all(np.array_equal(_round(part, drop), part, equal_nan=True) for part in parts)
 
 
-def _rounded(
-    values: np.ndarray,
-    drop: int,
-    out: np.ndarray | None,
-    root: bool,
-    sigma: np.ndarray | None = None,
+def _rows_of(values: np.ndarray) -> int:
+    return tile_rows(max(1, BLOCK_SAMPLES // max(1, values[:1].size)), max(1, len(values)))
+
+
+def _by_rows(
+    rounded: Callable[..., np.ndarray], out: np.ndarray | None, *arrays: np.ndarray
 ) -> np.ndarray:
-    result = np.empty(values.shape, np.float32) if out is None else out
-    in_threads(_round_rows, len(values), values, result, (drop, root), sigma)
+    """Write what a function makes of some rows of arrays to `out`, all rows of it."""
+    result = np.empty(arrays[0].shape, np.float32) if out is None else out
+    step = _rows_of(result)
+
+    def work(start: int, stop: int) -> None:
+        for row in range(start, stop, step):
+            rows = slice(row, min(row + step, stop))
+            with np.errstate(all="ignore"):
+                result[rows] = rounded(*(np.ascontiguousarray(a[rows], np.float32) for a in arrays))
+
+    in_threads(work, len(result), worth=result.size)
     return result
 
 
-def _round_rows(
-    start: int,
-    stop: int,
-    values: np.ndarray,
-    result: np.ndarray,
-    how: tuple[int, bool],
-    sigma: np.ndarray | None,
-) -> None:
-    drop, root = how
-    half, keep = np.uint32(1 << (drop - 1)), np.uint32(0xFFFFFFFF << drop & 0xFFFFFFFF)
-    step = tile_rows(ROWS, len(values))
-    for row in range(start, stop, step):  # a cube's worth of temporaries is too much
-        rows = slice(row, min(row + step, stop))
-        part, into = values[rows], result[rows]
-        rounded = into if into.flags.c_contiguous else np.empty(into.shape, np.float32)
-        if result is not values or rounded is not into:
-            rounded[...] = part
-        if sigma is None:
-            _round(rounded.reshape(-1), half, keep, root)
-        else:
-            noise = np.ascontiguousarray(sigma[rows], np.float32)
-            _round_to_noise(rounded.reshape(-1), noise.reshape(-1), half, keep)
-        if rounded is not into:
-            into[...] = rounded
-
-
-@njit(cache=True)
-def _round(numbers, half, keep, root):  # type: ignore[no-untyped-def]
-    # In its own place: with two arrays that may be one, no eight numbers are done at once.
+def _round(numbers: np.ndarray, drop: int) -> np.ndarray:
     # Adding a half in the integers carries into the exponent where it has to.
-    infinite = np.uint32(0x7F800000)
-    bits = numbers.view(np.uint32)
-    if root:
-        for i in range(len(numbers)):
-            number = numbers[i]
-            numbers[i] = np.sqrt(np.float32(0.0) if number < 0.0 else number)
-    for i in range(len(bits)):
-        whole = bits[i]
-        finite = (whole & infinite) != infinite
-        bits[i] = ((whole + half) & keep) if finite else whole
+    half, keep = np.uint32(1 << (drop - 1)), np.uint32(0xFFFFFFFF << drop & 0xFFFFFFFF)
+    bits = np.ascontiguousarray(numbers, np.float32).view(np.uint32)
+    return np.where(np.isfinite(numbers), ((bits + half) & keep).view(np.float32), numbers)
 
 
-@njit(cache=True)
-def _round_to_noise(numbers, sigma, half, keep):  # type: ignore[no-untyped-def]
-    infinite = np.uint32(0x7F800000)
-    part, most = np.float32(STEP_PER_SIGMA), np.float32(1 << 15)
-    words = numbers.view(np.uint32)
-    for i in range(len(numbers)):
-        number, word = numbers[i], words[i]
-        largest = np.float32(sigma[i] * part)
-        power = np.uint32(largest.view(np.uint32) & infinite)  # an exponent alone: a power of two
-        step = power.view(np.float32)
-        count = np.float32(number / step)
-        whole = np.uint32((word + half) & keep)
-        plain = whole.view(np.float32) if (word & infinite) != infinite else number
-        # Beyond 2^15 steps they are finer than 16 significant bits; of ties the even one.
-        coarse = abs(count) < most and power != infinite
-        numbers[i] = np.float32(np.rint(count) * step) if coarse else plain
-
-
-@njit(cache=True)
-def _all_round(bits, rest):  # type: ignore[no-untyped-def]
-    infinite = np.uint32(0x7F800000)
-    loose = 0
-    for word in bits:
-        loose += (word & infinite) != infinite and (word & rest) != 0
-    return loose == 0
+def _round_to_noise(numbers: np.ndarray, sigma: np.ndarray | None = None) -> np.ndarray:
+    plain = _round(numbers, VALUE_DROP)
+    if sigma is None:
+        return plain
+    power = (sigma * np.float32(STEP_PER_SIGMA)).view(np.uint32) & EXPONENT
+    step = power.view(np.float32)  # an exponent alone: a power of two
+    count = numbers / step
+    coarse = (np.abs(count) < MOST_STEPS) & (power != EXPONENT)
+    return np.where(coarse, np.rint(count) * step, plain)

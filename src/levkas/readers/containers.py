@@ -8,9 +8,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import prod
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -51,12 +52,10 @@ ORDERS = {"little-endian": "<", "big-endian": ">"}
 FIX = "Save it as ENVI, or with one array of three axes and its wavelengths as `wavelengths`."
 
 
-class _Cube(NamedTuple):
-    """Where the cube of a file lies: the name of the array, its axes (lines, samples, bands), and its facts."""
-
-    name: str
-    axes: tuple[int, int, int]
-    facts: Facts
+Listed = dict[str, tuple[tuple[int, ...], str]]
+"""Shape and type of the arrays of a file, by their names."""
+Cube = tuple[str, tuple[int, int, int], Facts]
+"""Where the cube of a file lies: the name of the array, its axes (lines, samples, bands), and its facts."""
 
 
 # --- HDF5: the maps of PyMca, or one cube --------------------------------------------------------
@@ -64,46 +63,38 @@ class _Cube(NamedTuple):
 
 def read_hdf5_facts(path: Path) -> Facts:
     """Return the facts of the maps in an HDF5 file of PyMca, or of the cube in one of another program; raises UnreadableCapture."""
-    if not list_hdf5(path, RESULTS):
-        return _find_hdf5(path).facts
-    names, shape = _maps_of(path)
-    check_memory(path, prod(shape), 8)
+    if not (maps := list_hdf5(path, RESULTS)):
+        return _cube_of_hdf5(path)[2]
+    names, shape = _stack_of(path, maps)
     labels = tuple(name.rpartition("/")[2] for name in names)
     return Facts(path, "hdf5", shape, "float32", band_names=labels)
 
 
 def read_hdf5_frame(path: Path) -> np.ndarray:
     """Read the maps in an HDF5 file of PyMca, (lines, samples, maps) float32, or the cube in one of another program."""
-    if not list_hdf5(path, RESULTS):
-        cube = _find_hdf5(path)
-        shape = list_hdf5(path)[cube.name][0]
-        values = read_hdf5(path, cube.name, shape)
-        values = values.T if _is_matlab(path) else values
-        return np.ascontiguousarray(values.transpose(cube.axes))
-    names, shape = _maps_of(path)
-    check_memory(path, prod(shape), 8)
+    if not (maps := list_hdf5(path, RESULTS)):
+        name, axes, facts = _cube_of_hdf5(path)
+        shape = tuple(facts.shape[axes.index(axis)] for axis in range(3))
+        matlab = _is_matlab(path)
+        values = read_hdf5(path, name, shape[::-1] if matlab else shape)
+        return np.ascontiguousarray((values.T if matlab else values).transpose(axes))
+    names, shape = _stack_of(path, maps)
     out = np.empty(shape, np.float32)
     for k, name in enumerate(names):
         out[..., k] = read_hdf5(path, name, shape[:2])
     return out
 
 
-def _maps_of(path: Path) -> tuple[list[str], tuple[int, ...]]:
+def _stack_of(path: Path, maps: Listed) -> tuple[list[str], tuple[int, ...]]:
     """Return the full names of PyMca's maps, and (lines, samples, maps)."""
-    listed = list_hdf5(path, RESULTS)
-    found = {name: shape for name, (shape, _) in listed.items() if len(shape) == 2}
+    found = {name: shape for name, (shape, _) in maps.items() if len(shape) == 2}
     groups = sorted({name.rpartition("/")[0] for name in found})
     if len(groups) != 1 or len(set(found.values())) != 1:
-        raise unreadable(
-            path,
-            "HDF5 is read where PyMca wrote maps into it",
-            field="format",
-            found=", ".join(groups[:4]) or f"HDF5 without a group {RESULTS}",
-            expected=f"one group {RESULTS} with maps of one size",
-            fix="Save the maps as ENVI, or as a TIFF with one page per map.",
-        )
+        what, expected = "HDF5 is read where PyMca wrote maps into it", "maps of one size"
+        raise _refused(path, what, ", ".join(groups[:4]), f"one group {RESULTS} with {expected}")
     shape = (*next(iter(found.values())), len(found))
     check_size(path, shape, field="lines, samples, maps")
+    check_memory(path, prod(shape), 8)
     return list(found), shape
 
 
@@ -113,16 +104,10 @@ def _is_matlab(path: Path) -> bool:
         return file.read(len(MATLAB_73)) == MATLAB_73
 
 
-def _find_hdf5(path: Path) -> _Cube:
+def _cube_of_hdf5(path: Path) -> Cube:
     listed, matlab = list_hdf5(path), _is_matlab(path)
-    shapes = {name: shape for name, (shape, _) in listed.items()}
-    name = _only_cube(path, shapes)
-    lists = _lists_of_wavelengths(shapes, name)
-    waves = read_hdf5(path, lists[0], shapes[lists[0]]).ravel() if lists else None
-    shape, dtype = listed[name]
-    shape = shape[::-1] if matlab else shape
-    axes, centres = _axes_of(path, name, shape, waves, known=matlab)
-    return _Cube(name, axes, _cube_facts(path, "hdf5-cube", shape, axes, dtype, centres))
+    turned = {n: (s[::-1], d) for n, (s, d) in listed.items()} if matlab else listed
+    return _find_cube(path, "hdf5-cube", turned, lambda n: read_hdf5(path, n, listed[n][0]), matlab)
 
 
 # --- MATLAB 5 ---------------------------------------------------------------------------------
@@ -130,29 +115,26 @@ def _find_hdf5(path: Path) -> _Cube:
 
 def read_mat_facts(path: Path) -> Facts:
     """Return the facts of the cube in a MAT-file of version 5; raises UnreadableCapture."""
-    return _find_mat(path).facts
+    return _cube_of_mat(path)[2]
 
 
 def read_mat(path: Path) -> np.ndarray:
     """Read the cube of a MAT-file of version 5, (lines, samples, bands)."""
-    cube = _find_mat(path)
-    return np.ascontiguousarray(_load(path, cube.name).transpose(cube.axes))
+    name, axes, _ = _cube_of_mat(path)
+    return np.ascontiguousarray(_load(path, name).transpose(axes))
 
 
-def _find_mat(path: Path) -> _Cube:
+def _cube_of_mat(path: Path) -> Cube:
     from scipy.io import whosmat
 
     with reading(path, "a MATLAB file"):
-        listed = whosmat(path, appendmat=False)
-    shapes = {str(name): tuple(map(int, shape)) for name, shape, kind in listed if kind in CLASSES}
-    name = _only_cube(path, shapes)
-    dtype = next(CLASSES[kind] for key, _, kind in listed if key == name)
-    size = prod(shapes[name]) * np.dtype(dtype).itemsize
-    check_ratio(path, size, path.stat().st_size, ratio=LARGEST_RATIO)
-    lists = _lists_of_wavelengths(shapes, name)
-    waves = _load(path, lists[0]).ravel() if lists else None
-    axes, centres = _axes_of(path, name, shapes[name], waves, known=True)
-    return _Cube(name, axes, _cube_facts(path, "mat", shapes[name], axes, dtype, centres))
+        found = whosmat(path, appendmat=False)
+    listed = {
+        str(n): (tuple(map(int, s)), CLASSES[kind]) for n, s, kind in found if kind in CLASSES
+    }
+    needed = max((prod(s) * np.dtype(dtype).itemsize for s, dtype in listed.values()), default=0)
+    check_ratio(path, needed, path.stat().st_size, ratio=LARGEST_RATIO)
+    return _find_cube(path, "mat", listed, lambda name: _load(path, name), True)
 
 
 def _load(path: Path, name: str) -> np.ndarray:
@@ -169,67 +151,41 @@ def _load(path: Path, name: str) -> np.ndarray:
 # --- which array is the cube, and which axis that of its bands -----------------------------------
 
 
-def _only_cube(path: Path, shapes: dict[str, tuple[int, ...]]) -> str:
-    cubes = [name for name, shape in shapes.items() if len(shape) == 3 and min(shape) > 0]
+def _find_cube(
+    path: Path, kind: str, listed: Listed, read: Callable[[str], np.ndarray], known: bool
+) -> Cube:
+    """Find the only array of three axes, and its bands by a list of wavelengths beside it, else by an order that is `known`."""
+    cubes = [name for name, (shape, _) in listed.items() if len(shape) == 3 and min(shape) > 0]
     if len(cubes) != 1:
-        raise unreadable(
-            path,
-            "the file has not one cube" if cubes else "the file has no cube",
-            field="format",
-            found=", ".join(cubes[:6]) or ", ".join(list(shapes)[:6]) or "no array of numbers",
-            expected="one array of three axes",
-            fix=FIX,
-        )
-    return cubes[0]
-
-
-def _lists_of_wavelengths(shapes: dict[str, tuple[int, ...]], cube: str) -> list[str]:
-    """Return the names of lists that are called as wavelengths are and are as long as an axis of the cube, what is usual first."""
-    plain = {name: name.rpartition("/")[2].lower() for name in shapes}
-    fitting = [
-        name
-        for name, shape in shapes.items()
-        if plain[name] in WAVELENGTHS
-        and 1 < max(shape, default=0) == prod(shape) <= LONGEST_LIST
-        and prod(shape) in shapes[cube]
-    ]
-    return sorted(fitting, key=lambda name: (WAVELENGTHS.index(plain[name]), name))
-
-
-def _axes_of(
-    path: Path, name: str, shape: tuple[int, ...], waves: Any, *, known: bool
-) -> tuple[tuple[int, int, int], tuple[float, ...] | None]:
-    """Return the axes (lines, samples, bands) of a cube, in this order where it is `known`, and its wavelengths."""
-    found = None
-    if waves is not None and len(set(waves.tolist())) == len(waves):
-        found = read_centres([float(one) for one in waves]).nm
-    fitting = [axis for axis in range(3) if found and shape[axis] == len(found)]
-    if len(fitting) != 1 and not known:
-        raise unreadable(
-            path,
-            "it is not known which axis of the cube is that of the bands",
-            field="format",
-            found=f"{name} of {' x '.join(map(str, shape))}, {len(found or ())} wavelengths",
-            expected="a list of wavelengths beside it, as long as one axis",
-            fix=FIX,
-        )
-    band = fitting[0] if len(fitting) == 1 else 2
+        what = "the file has not one cube" if cubes else "the file has no cube"
+        found = ", ".join((cubes or list(listed))[:6]) or "no array of numbers"
+        raise _refused(path, what, found, "one array of three axes")
+    name = cubes[0]
+    shape, dtype = listed[name]
+    lists = {n: prod(s) for n, (s, _) in listed.items() if 1 < max(s, default=0) == prod(s)}
+    named = {n: n.rpartition("/")[2].lower() for n, size in lists.items() if size in shape}
+    fitting = [n for n in named if named[n] in WAVELENGTHS and lists[n] <= LONGEST_LIST]
+    centres = None
+    if fitting:
+        waves = read(min(fitting, key=lambda n: (WAVELENGTHS.index(named[n]), n))).ravel().tolist()
+        centres = read_centres(waves).nm if len(set(waves)) == len(waves) else None
+    among = [axis for axis in range(3) if centres and shape[axis] == len(centres)]
+    if len(among) != 1 and not known:
+        what = "it is not known which axis of the cube is that of the bands"
+        found = f"{name} of {' x '.join(map(str, shape))}, {len(centres or ())} wavelengths"
+        raise _refused(path, what, found, "a list of wavelengths beside it, as long as one axis")
+    band = among[0] if len(among) == 1 else 2
     lines, samples = (axis for axis in range(3) if axis != band)
-    return (lines, samples, band), found if found and shape[band] == len(found) else None
+    if centres and len(centres) != shape[band]:
+        centres = None
+    size = shape[lines], shape[samples], shape[band]
+    check_size(path, size, field="lines, samples, bands")
+    check_memory(path, prod(size), 8)
+    return name, (lines, samples, band), Facts(path, kind, size, dtype, wavelengths=centres)
 
 
-def _cube_facts(
-    path: Path,
-    kind: str,
-    stored: tuple[int, ...],
-    axes: tuple[int, int, int],
-    dtype: str,
-    centres: tuple[float, ...] | None,
-) -> Facts:
-    shape = tuple(stored[axis] for axis in axes)
-    check_size(path, shape, field="lines, samples, bands")
-    check_memory(path, prod(shape), 8)
-    return Facts(path, kind, shape, dtype, wavelengths=centres)
+def _refused(path: Path, what: str, found: str, expected: str) -> Exception:
+    return unreadable(path, what, field="format", found=found, expected=expected, fix=FIX)
 
 
 # --- Ripple -----------------------------------------------------------------------------------
