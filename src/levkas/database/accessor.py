@@ -108,36 +108,16 @@ class LayerAccessor:
         of: Of = "mean",
         beside: Mapping[str, Any] | None = None,
     ) -> xarray.Dataset:
-        """Return what is read from a region with its uncertainty, random and common errors combined.
+        """Return what is read from a region with its uncertainty, random and common errors combined to first order ([jcgm2008]_).
 
-        Parameters
-        ----------
-        polygon, rectangle, circle
-            As of `region`.
-        bands : sequence of str, optional
-            Labels; all by default.
-        of : {"mean", "difference", "ratio", "delta_e"}
-            The mean of each band; the difference or ratio of two bands, or, with `beside`, of two regions band by band; the colour
-            difference ΔE2000 of two regions under D65.
-        beside : mapping, optional
-            The second region: ``{"rectangle": (0, 0, 9, 9)}``.
+        Regions are as of `region`; `beside` is a second one, ``{"rectangle": (0, 0, 9, 9)}``; `bands` are labels, all by default.
+        `of` them is read the mean of each band; the difference or ratio of two bands, or of two regions band by band, which an
+        error that both share leaves; or the colour difference ΔE2000 of two regions under D65.
 
-        Returns
-        -------
-        numbers : xarray.Dataset
-            Over ``band``: ``value``; ``u``, its standard uncertainty; ``U``, expanded with k = 2; ``u_random`` and ``u_common``, of the
-            pixels' own noise and of what they share; ``u_by_source``. The attribute ``not_known`` names the sources that
-            nothing is known of, and that are not in it.
-
-        Raises
-        ------
-        RegionRefused
-            ``E_REGION`` as of `region`, or where these pixels are not neighbours in the grid; ``E_VALUE`` where that cannot
-            be made of these bands.
-
-        Notes
-        -----
-        First order in all errors ([jcgm2008]_). An error that two numbers share leaves their ratio.
+        Over ``band``: ``value``; ``u``, its standard uncertainty; ``U``, expanded with k = 2; ``u_random`` and ``u_common``, of the
+        pixels' own noise and of what they share; ``u_by_source``. The attribute ``not_known`` names the sources that nothing is
+        known of, and that are not in it. Raises RegionRefused: ``E_REGION`` as of `region`, or where these pixels are not
+        neighbours in the grid; ``E_VALUE`` where that cannot be made of these bands.
         """
         from levkas.database.region_uncertainty import (
             NO_BUDGET,

@@ -19,10 +19,8 @@ from levkas.database.layout import LayerId
 from levkas.database.remote import is_remote, place
 
 NAME = "catalogue.csv"
-LARGEST = 256 << 20
-"""Bytes of a catalogue that is still read: two million layers."""
-LARGEST_REMOTE = 32 << 20
-"""Of one on a server, whose size is the server's choice: a quarter of a million layers, 7 s and 0.4 GB."""
+LARGEST = 64 << 20
+"""Bytes of a catalogue that is still read, whose size on a server is the server's choice: half a million layers."""
 MOST_PROBLEMS = 10
 KINDS = MEASURED, ESTIMATED, SPLICED = "measured", "estimated", "spliced"
 """What a layer is: the last ones are made from others."""
@@ -123,8 +121,8 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     check_inside(path.parent, path)
     entries, problems, fix = [], [], "Copy the database again, or give the folder of one."
     try:
-        most = LARGEST_REMOTE if is_remote(path) else LARGEST
-        rows = csv.reader(io.StringIO(read_text(path, "a CSV in UTF-8", most=most), newline=""))
+        text = read_text(path, "a CSV in UTF-8", most=LARGEST)
+        rows = csv.reader(io.StringIO(text, newline=""))
         head = next(rows, [])
         if len(head) < len(COLUMNS) or tuple(head) != ALL_COLUMNS[: len(head)]:
             found, expected = ",".join(head)[:120] or "an empty file", ",".join(COLUMNS)
@@ -141,10 +139,8 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     except csv.Error as error:
         what = f"the catalogue cannot be read: {error}"
         raise DatabaseRefused(Problem("E_UNREADABLE", what, str(path), fix=fix)) from error
-    except TextRefused as refused:
-        (damage,) = refused.problems
-        what = f"the catalogue cannot be read: {damage.message}"
-        raise DatabaseRefused(replace(damage, message=what, fix=fix)) from refused
+    except TextRefused as error:
+        raise DatabaseRefused(replace(error.problems[0], fix=fix)) from error
     if problems:
         raise DatabaseRefused(*problems)
     return tuple(entries)

@@ -122,11 +122,6 @@ class LayerRows:
         return tuple(self.pages["values"].shape)
 
     @property
-    def quantity(self) -> str:
-        """As of `Described`."""
-        return self.described.quantity
-
-    @property
     def bands(self) -> tuple[Band, ...]:
         """Its bands."""
         return self.described.bands

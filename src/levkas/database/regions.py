@@ -40,22 +40,18 @@ class Region:
     def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return which pixel centres lie within; a polygon by the even-odd rule.
 
-        Examples
-        --------
         >>> triangle = Region(np.array([(0.0, 0.0), (4.0, 0.0), (0.0, 4.0)]))
         >>> triangle.contains(np.array([1, 3]), np.array([1, 3])).tolist()
         [True, False]
         """
-        x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         if self.radius:
             (cx, cy), r = self.vertices[0], self.radius
             return np.asarray((x - cx) ** 2 + (y - cy) ** 2 <= r * r)
-        inside = np.zeros(x.shape, bool)
-        beside = np.roll(self.vertices, -1, axis=0)
+        inside, beside = np.zeros(np.broadcast(x, y).shape, bool), np.roll(self.vertices, -1, 0)
         for (ax, ay), (bx, by) in zip(self.vertices, beside, strict=True):
-            between = (ay > y) != (by > y)
-            if between.any():
-                inside[between] ^= x[between] < ax + (y[between] - ay) / (by - ay) * (bx - ax)
+            if ay != by:
+                between = (ay > y) != (by > y)
+                inside ^= between & (x < ax + (y - ay) / (by - ay) * (bx - ax))
         return inside
 
 
@@ -65,26 +61,23 @@ def make_region(
     circle: tuple[float, float, float] | None,
 ) -> Region:
     """Return the one region that is described; raises RegionRefused."""
-    given = {"polygon": polygon, "rectangle": rectangle, "circle": circle}
-    named = [name for name, one in given.items() if one is not None]
+    named = [one for one in (polygon, rectangle, circle) if one is not None]
     if len(named) != 1:
-        raise refused(", ".join(named) or "none", "one of polygon, rectangle and circle")
-    numbers = np.asarray(given[named[0]], float)
-    if not np.isfinite(numbers).all():
-        raise refused(str(given[named[0]]), "finite numbers")
+        raise refused(f"{len(named)} of them", "one of polygon, rectangle and circle")
+    numbers = np.atleast_1d(np.asarray(named[0], float))
+    expected, sound = "three or more corners (x, y)", numbers.shape == (len(numbers), 2)
     if rectangle is not None:
-        if numbers.shape != (4,) or not (numbers[2:] >= numbers[:2]).all():
-            raise refused(str(rectangle), "x0, y0, x1, y1 with x0 ≤ x1 and y0 ≤ y1")
+        expected = "x0, y0, x1, y1 with x0 ≤ x1 and y0 ≤ y1"
+        sound = numbers.shape == (4,) and bool((numbers[2:] >= numbers[:2]).all())
+    elif circle is not None:
+        expected, sound = "x, y and a radius above 0", numbers.shape == (3,) and numbers[2] > 0
+    if not sound or len(numbers) < 3 or not np.isfinite(numbers).all():
+        raise refused(str(named[0]), f"{expected}, finite")
+    if rectangle is not None:
         # Half a pixel more on each side: the pixels of both corners belong to it.
         x0, y0, x1, y1 = numbers + np.array([-0.5, -0.5, 0.5, 0.5])
         return Region(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
-    if circle is not None:
-        if numbers.shape != (3,) or not numbers[2] > 0:
-            raise refused(str(circle), "x, y and a radius above 0")
-        return Region(numbers[None, :2], float(numbers[2]))
-    if numbers.ndim != 2 or numbers.shape[1] != 2 or len(numbers) < 3:
-        raise refused(f"shape {numbers.shape}", "three or more corners (x, y)")
-    return Region(numbers)
+    return Region(numbers) if circle is None else Region(numbers[None, :2], float(numbers[2]))
 
 
 def region_statistics(
@@ -97,13 +90,11 @@ def region_statistics(
     import xarray
 
     layer, flags = (array.transpose("y", "x", "band") for array in (layer, flags))
-    bands, pixels = layer.sizes["band"], 0
-    count, mean, spread = np.zeros(bands, np.int64), np.zeros(bands), np.zeros(bands)
+    pixels, (count, mean, spread) = 0, np.zeros((3, layer.sizes["band"]))
     for values, sound in _blocks(layer, flags, region):
         pixels += len(values)
         n = sound.sum(0)
-        held = np.where(sound, values, 0.0)
-        here = held.sum(0) / np.maximum(n, 1)
+        here = np.where(sound, values, 0.0).sum(0) / np.maximum(n, 1)
         rest = np.where(sound, values - here, 0.0)
         total = np.maximum(count + n, 1)
         # Two groups joined: Chan, Golub, LeVeque (1983), 10.1080/00031305.1983.10483115.
@@ -113,11 +104,11 @@ def region_statistics(
     if not pixels:
         raise refused("no pixel within", "the centre of a pixel of the array, by its x and y")
     with np.errstate(invalid="ignore", divide="ignore"):
-        std = np.sqrt(np.where(count > 1, spread / (count - 1.0), np.nan))
+        std = np.sqrt(np.where(count > 1, spread / (count - 1), np.nan))
     found = {
         "mean": ("band", np.where(count > 0, mean, np.nan)),
         "std": ("band", std),
-        "n": ("band", count),
+        "n": ("band", count.astype(np.int64)),
         "pixels": ((), pixels),
     }
     coords = {k: v for k, v in layer.coords.items() if v.dims == ("band",)}
@@ -153,7 +144,6 @@ def _within(places: np.ndarray, low: float, high: float) -> slice:
 
 def refused(found: str, expected: str, code: str = "E_REGION") -> RegionRefused:
     """Return the refusal of a region, or with ``E_VALUE`` of what cannot be made of it."""
-    what = "this is not a region of the layer"
-    if code != "E_REGION":
-        what = "no uncertainty of this can be stated"
+    of_region = "this is not a region of the layer"
+    what = of_region if code == "E_REGION" else "no uncertainty of this can be stated"
     return RegionRefused(Problem(code, what, found=found, expected=expected))

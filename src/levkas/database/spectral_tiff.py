@@ -9,9 +9,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import warnings
-from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -32,8 +31,8 @@ STRIP_BYTES = 1 << 18
 LEVEL = 1
 GROUP = 16
 """Bands that are gathered in one passage over the memory: a line of the cache of float32."""
-AHEAD, THREADS = 8, 2
-"""Groups of strips that are compressed ahead of what is written, and threads that do it."""
+THREADS = 2
+"""That compress."""
 CLASSIC_LIMIT = 4_000_000_000
 PREDICTORS = {"f": 3, "u": 2, "i": 2}
 
@@ -183,28 +182,18 @@ class PageSpool:
         self._handle, self._dtype, self._bands, self._pool = handle, dtype, shape[2], pool
         self._pieces = RowPieces(shape, dtype, strip_rows(shape[1], dtype))
         self._places: list[tuple[int, int]] = []
-        self._end = 0
 
     def write_rows(self, block: np.ndarray) -> None:
         """Take rows, (rows, width, bands), from top to bottom; some strips are compressed while others are written."""
-        coming = deque[Future[list[bytes]]]()
-        for _, strip in self._pieces.take(np.asarray(block, self._dtype)):
-            for start in range(0, self._bands, GROUP):
-                stop = min(start + GROUP, self._bands)
-                coming.append(self._pool.submit(_encode_strips, strip, start, stop))
-                if len(coming) > AHEAD:
-                    self._keep(coming.popleft().result())
-        while coming:
-            self._keep(coming.popleft().result())
-
-    def _keep(self, group: Sequence[bytes]) -> None:
-        for encoded in group:
-            self._handle.write(encoded)
-            self._places.append((self._end, len(encoded)))
-            self._end += len(encoded)
+        strips = [strip for _, strip in self._pieces.take(np.asarray(block, self._dtype))]
+        jobs = [(strip, band) for strip in strips for band in range(0, self._bands, GROUP)]
+        for group in self._pool.map(_encode_strips, jobs):
+            for encoded in group:
+                self._places.append((self._handle.tell(), len(encoded)))
+                self._handle.write(encoded)
 
     def pages(self) -> Generator[list[bytes], None, None]:
-        """Yield the strips of each band; raises ValueError where rows are missing."""
+        """Yield the strips of each band; raises ValueError where rows are missing, OSError where they cannot be read back."""
         self._pieces.check_whole()
         # The strips of a page lie far apart: a buffer would read all between them, for each page anew.
         self._handle.flush()
@@ -221,10 +210,8 @@ class PageSpool:
 def _read(handle: BinaryIO, start: int, size: int) -> bytes:
     handle.seek(start)
     found = handle.read(size)
-    while len(found) < size:
-        if not (more := handle.read(size - len(found))):
-            raise OSError(errno.EIO, f"{len(found)} bytes of {size} could be read back")
-        found += more
+    if len(found) < size:
+        raise OSError(errno.EIO, f"{len(found)} bytes of {size} could be read back")
     return found
 
 
@@ -233,8 +220,6 @@ def encode_strip(strip: Any) -> bytes:
 
     The bytes are those of libdeflate at level 1: ISA-L is faster, but its bytes are not always the same.
 
-    Examples
-    --------
     >>> import zlib
     >>> zlib.decompress(encode_strip(np.uint8([[3, 4], [5, 6]])))
     b'\\x03\\x04\\x05\\x06'
@@ -248,9 +233,11 @@ def encode_strip(strip: Any) -> bytes:
     return bytes(imagecodecs.deflate_encode(data.tobytes(), level=LEVEL))
 
 
-def _encode_strips(rows: np.ndarray, start: int, stop: int) -> list[bytes]:
-    """Return `encode_strip` of bands `start` to `stop` of some rows, (rows, width, bands)."""
-    planes = transpose(rows[:, :, start:stop].reshape(-1, stop - start))
+def _encode_strips(job: tuple[np.ndarray, int]) -> list[bytes]:
+    """Return `encode_strip` of `GROUP` bands, from one on, of some rows, (rows, width, bands)."""
+    rows, first = job
+    group = rows[:, :, first : first + GROUP]
+    planes = transpose(group.reshape(-1, group.shape[2]))
     return [encode_strip(plane) for plane in planes.reshape(-1, *rows.shape[:2])]
 
 

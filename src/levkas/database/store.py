@@ -109,56 +109,53 @@ def writing_layer(
     facts = {k: v for k, v in attributes.items() if v is not None} | (
         {SIGMA: True} if sigma else {}
     )
+    beside = {"coordinates": "wavelength fwhm"}
     kinds: dict[str, tuple[Any, Any, Mapping[str, Any]]] = {
-        "values": (np.float32, nan, facts),
-        "flags": (np.uint8, int(Flag.OUTSIDE), flag_attributes()),
-        "sigma": (np.float32, nan, {"long_name": "one standard deviation of the random part"}),
+        "values": (np.float32, nan, facts | beside),
+        "flags": (np.uint8, int(Flag.OUTSIDE), flag_attributes() | beside),
+        "sigma": (
+            np.float32,
+            nan,
+            {"long_name": "one standard deviation of the random part"} | beside,
+        ),
     }
     with publishing(root / name) as folder:
         group = zarr.create_group(folder_store(folder), zarr_format=3)
         arrays = {
-            key: group.create_array(
-                key,
-                shape=shape,
-                dtype=dtype,
-                chunks=chunks,
-                shards=shards,
-                filters=[],
-                compressors=codecs_of(dtype),
-                fill_value=fill,
-                attributes={**more, "coordinates": "wavelength fwhm"},
-                dimension_names=DIMENSIONS,
-                config={"write_empty_chunks": True},
+            key: _create(
+                group, key, dtype, shape, facts, fill_value=fill, chunks=chunks, shards=shards
             )
-            for key, (dtype, fill, more) in kinds.items()
+            for key, (dtype, fill, facts) in kinds.items()
             if sigma or key != "sigma"
         }
-        _write_coordinates(group, bands)
+        columns = ((b.label, b.wavelength, b.fwhm) for b in bands)
+        for key, column in zip(
+            ("band", "wavelength", "fwhm"), zip(*columns, strict=True), strict=True
+        ):
+            kind, fill = (str, "") if key == "band" else (np.float64, nan)
+            facts = {} if key == "band" else {"units": "nm"}
+            size = (len(bands),)
+            array = _create(group, key, kind, size, facts, fill_value=fill, chunks=size)
+            array[...] = np.array(column, object if key == "band" else kind)
         writer = LayerWriter(arrays, shape, shards[0])
         yield writer
         writer.check_whole()
 
 
-def _write_coordinates(group: Any, bands: Sequence[Band]) -> None:
-    coordinates: dict[str, tuple[Any, Any, np.ndarray]] = {
-        "band": (str, "", np.array([b.label for b in bands], dtype=object)),
-        "wavelength": (np.float64, nan, np.array([b.wavelength for b in bands])),
-        "fwhm": (np.float64, nan, np.array([b.fwhm for b in bands])),
-    }
-    for name, (dtype, fill, numbers) in coordinates.items():
-        array = group.create_array(
-            name,
-            shape=numbers.shape,
-            dtype=dtype,
-            chunks=numbers.shape,
-            filters="auto" if dtype is str else [],
-            compressors=codecs_of(dtype),
-            fill_value=fill,
-            attributes={} if name == "band" else {"units": "nm"},
-            dimension_names=("band",),
-            config={"write_empty_chunks": True},
-        )
-        array[...] = numbers
+def _create(
+    group: Any, name: str, kind: Any, shape: tuple[int, ...], facts: Mapping[str, Any], **more: Any
+) -> Any:
+    return group.create_array(
+        name,
+        shape=shape,
+        dtype=kind,
+        filters="auto" if kind is str else [],
+        compressors=codecs_of(kind),
+        attributes=facts,
+        dimension_names=DIMENSIONS if len(shape) == 3 else ("band",),
+        config={"write_empty_chunks": True},
+        **more,
+    )
 
 
 def write_index(root: Path) -> Path:

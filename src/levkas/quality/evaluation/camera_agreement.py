@@ -396,7 +396,7 @@ def agreement_in(
 ) -> tuple[PairAgreement, ...]:
     """Compare the layers of one object of a database that hold reflectance; the first says where it is even."""
     opened = [LayerRows.open(root, layer) for layer in layers]
-    opened = [rows for rows in opened if rows.quantity == "reflectance"]
+    opened = [rows for rows in opened if rows.described.quantity == "reflectance"]
     if len(opened) < 2:
         return ()
     places = choose_patches(opened[0])
