@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,9 @@ from levkas.readers.orientation import UPRIGHT, describe_turn
 from levkas.registration.record import Sigma
 
 GRID = "grid"
+_FRAME = re.compile(
+    r"(?P<camera>[^@#:]+)(?:@(?P<setup>[^#:]*))?(?:#(?P<tile>[^:]*))?(?::(?P<band>.*))?"
+)
 EDGE_PX = 1e-6
 """A corner that went through a map and back is still on the image."""
 
@@ -40,10 +44,7 @@ class MappingRefused(Refused):
 
 @dataclass(frozen=True)
 class Frame:
-    """The name of a pixel frame; ``grid`` has no camera, and a camera may leave its band open.
-
-    A camera of tiles has a frame a tile; without one its frame is that of the tiles joined, reference px.
-    """
+    """The name of a pixel frame; ``grid`` has no camera, without a band it is the reference channel's, without a tile that of tiles joined."""
 
     camera: str = ""
     setup: str = ""
@@ -76,16 +77,11 @@ def parse_frame(text: str) -> Frame:
     """
     if text.strip() == GRID:
         return Frame()
-    layer, colon, band = text.partition(":")
-    layer, sharp, tile = layer.partition("#")
-    camera, at, setup = layer.partition("@")
-    parts = [part.strip() for part in (camera, setup, band, tile)]
-    given = (True, at, colon, sharp)
-    if any(mark and not part for mark, part in zip(given, parts, strict=True)):
-        expected = "grid, CAMERA, CAMERA:BAND, CAMERA@SETUP, CAMERA@SETUP:BAND or CAMERA#TILE:BAND"
-        what = f"{text!r} is not a pixel frame"
+    found = _FRAME.fullmatch(text)
+    if not found or any(part is not None and not part.strip() for part in found.groups()):
+        what, expected = f"{text!r} is not a pixel frame", "grid or CAMERA[@SETUP][#TILE][:BAND]"
         raise MappingRefused(Problem("E_KEY", what, found=text, expected=expected))
-    return Frame(*parts)
+    return Frame(**{name: (part or "").strip() for name, part in found.groupdict().items()})
 
 
 @dataclass(frozen=True)
@@ -125,24 +121,24 @@ class FrameMap:
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Map (n, 2) points; rows keep their order."""
         points = np.asarray(points, np.float64).reshape(-1, 2)
-        result, rows = np.full(points.shape, np.nan), np.flatnonzero(self.source.inside(points))
-        steps = (
-            (self.source.from_reference.inverse, self.reference),
-            (self.target.from_reference, self.target),
-        )
-        points = points[rows]
-        for move, frame in steps:
-            if not len(rows):
-                return result
-            points = move(points)
-            known = frame.inside(points)
-            rows, points = rows[known], points[known]
-        result[rows] = points
-        return result
+        middle = _moved(points, self.source.inside(points), self.source.from_reference.inverse)
+        there = _moved(middle, self.reference.inside(middle), self.target.from_reference)
+        there[~self.target.inside(there)] = np.nan
+        return there
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
         """Map (n, 2) points of the target back to the source."""
         return FrameMap(self.target, self.source, self.reference)(points)
+
+
+def _moved(
+    points: np.ndarray, known: np.ndarray, move: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Return moved points, NaN where they are not known."""
+    moved = np.full(points.shape, np.nan)
+    if known.any():
+        moved[known] = move(points[known])
+    return moved
 
 
 class Records:
@@ -314,31 +310,26 @@ def map_table(
 def read_points(text: str, *, file: str | None = None) -> np.ndarray:
     """Read the columns x and y of a CSV table, (n, 2); ``nan`` is allowed. Raises MappingRefused.
 
-    Examples
-    --------
     >>> read_points("x,y\\n1,2.5\\n").tolist()
     [[1.0, 2.5]]
     """
+    rows = csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline=""))
+    points, problems = [], []
     try:
-        rows = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline="")))
+        head = [cell.strip().lower() for cell in next(rows, [])]
+        if not {"x", "y"} <= {*head}:
+            found, what = ",".join(head)[:80] or "nothing", "the points have no header"
+            raise MappingRefused(Problem("E_KEY", what, file, "line 1", found, "x,y"))
+        for row in rows:
+            if any(cell.strip() for cell in row):
+                try:
+                    points.append([float(row[head.index(axis)]) for axis in "xy"])
+                except (ValueError, IndexError):
+                    facts = (file, f"line {rows.line_num}", ",".join(row)[:80], "two numbers")
+                    problems.append(Problem("E_VALUE", "a line is not a point", *facts))
     except csv.Error as error:
         what, expected = "the points are not a table", "a CSV with the header x,y"
-        problem = Problem("E_UNREADABLE", what, file, None, str(error), expected)
-        raise MappingRefused(problem) from None
-    head = [cell.strip().lower() for cell in rows[0]] if rows else []
-    if "x" not in head or "y" not in head:
-        found = ",".join(head)[:80] or "nothing"
-        what = "the points have no header"
-        raise MappingRefused(Problem("E_KEY", what, file, found=found, expected="x,y"))
-    columns, points, problems = (head.index("x"), head.index("y")), [], []
-    for number, row in enumerate(rows[1:], start=2):
-        if not any(cell.strip() for cell in row):
-            continue
-        try:
-            points.append([float(row[column]) for column in columns])
-        except (ValueError, IndexError):
-            why, found = f"line {number} is not a point", ",".join(row)[:80]
-            problems.append(Problem("E_VALUE", why, file, found=found, expected="two numbers"))
+        problems = [Problem("E_UNREADABLE", what, file, None, str(error), expected)]
     if problems:
         raise MappingRefused(*problems[:10])
     return np.array(points, float).reshape(-1, 2)
