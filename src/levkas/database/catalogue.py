@@ -53,7 +53,6 @@ class Entry:
 
     @property
     def layer(self) -> LayerId:
-        """Which layer it is."""
         return LayerId(self.object, self.camera, self.setup)
 
     def to_row(self) -> list[str]:

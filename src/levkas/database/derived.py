@@ -33,7 +33,6 @@ class DerivedStep:
 
     @property
     def line(self) -> str:
-        """The step as a line of a log."""
         return f"{self.done}/{self.total} {self.label}"
 
 

@@ -96,7 +96,6 @@ class Pixels(NamedTuple):
     sigma: np.ndarray | None
 
     def part(self, rows: slice, columns: slice) -> Pixels:
-        """Return some rows and columns."""
         return Pixels(*(None if a is None else a[rows, columns] for a in self))  # type: ignore[arg-type]
 
 
@@ -118,15 +117,12 @@ class LayerRows:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(height, width, bands)."""
         return tuple(self.pages["values"].shape)
 
     @property
     def bands(self) -> tuple[Band, ...]:
-        """Its bands."""
         return self.described.bands
 
     def read(self, start: int, stop: int) -> Pixels:
-        """Read rows `start` to `stop`."""
         known = {kind: pages.read(start, stop) for kind, pages in self.pages.items()}
         return Pixels(known["values"], known["flags"], known.get("sigma"))

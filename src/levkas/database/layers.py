@@ -57,7 +57,6 @@ class Layer:
 
     @property
     def id(self) -> LayerId:
-        """Which layer it is."""
         return LayerId(self.object, self.camera, self.setup)
 
     def attributes(self, quantity: str, bands: Sequence[Band] = ()) -> dict[str, Any]:

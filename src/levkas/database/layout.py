@@ -50,12 +50,10 @@ class LayerId:
 
     @property
     def path(self) -> str:
-        """Its TIFFs and preview, without their endings, relative to the database."""
         return f"objects/{self.object}/{self.stem}"
 
     @property
     def group(self) -> str:
-        """Its Zarr group, relative to the database."""
         return f"zarr/{self.object}.zarr/{self.name}"
 
     @property
@@ -76,7 +74,6 @@ class Places:
         return self.output.with_name(self.output.name + ".kept")
 
     def folder(self, name: str) -> Path:
-        """Folder of an object."""
         return self.output / "objects" / name
 
     def layer(self, name: str, camera: str, setup: str = "", *, kind: str = ".tif") -> Path:
@@ -102,7 +99,6 @@ class Places:
         return self.kept / name / layer / "-".join(filter(None, ("native", version)))
 
     def registration(self, name: str, layer: str) -> Path:
-        """Registration record of one layer."""
         return self.folder(name) / "registration" / f"{layer}.json"
 
     def matches(self, name: str, layer: str, sensor: str = "") -> Path:
@@ -111,7 +107,6 @@ class Places:
         return self.folder(name) / "registration" / f"{stem}.matches.csv"
 
     def store(self, name: str) -> Path:
-        """Zarr store of an object."""
         return self.output / "zarr" / f"{name}.zarr"
 
 

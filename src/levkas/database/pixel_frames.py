@@ -53,7 +53,6 @@ class Frame:
 
     @property
     def layer(self) -> str:
-        """``CAMERA`` or ``CAMERA@SETUP``, as registration records are called."""
         return layer_name(self.camera, self.setup)
 
     def __str__(self) -> str:
@@ -127,7 +126,6 @@ class FrameMap:
         return there
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
-        """Map (n, 2) points of the target back to the source."""
         return FrameMap(self.target, self.source, self.reference)(points)
 
 
@@ -164,7 +162,6 @@ class Records:
         self._read = dict(known or {})
 
     def load(self, layer: str) -> dict[str, Any]:
-        """Return the record of a layer that has one."""
         if layer not in self._read:
             try:
                 self._read[layer] = read_registration(self.layers[layer])
@@ -173,7 +170,6 @@ class Records:
         return self._read[layer]
 
     def pixels(self, frame: Frame) -> FramePixels:
-        """Return the maps and the size of one frame."""
         if frame.camera:
             return FramePixels.read(self.entry(frame))
         for layer in self.layers:
@@ -183,7 +179,6 @@ class Records:
         raise MappingRefused(Problem("E_KEY", what, str(self.folder), "grid"))
 
     def entry(self, frame: Frame) -> dict[str, Any]:
-        """Return what a record says of one band."""
         record = self._record(frame)
         labels = list(record["bands"])
         label = labels[find_band(labels, frame.band)] if frame.band else _reference_channel(record)

@@ -57,7 +57,6 @@ class Database(Mapping[str, "Object"]):
 
     @cached_property
     def _layers(self) -> dict[str, list[tuple[str, str]]]:
-        """Camera and setup of every layer by object."""
         found: dict[str, list[tuple[str, str]]] = {}
         for entry in self.catalogue:
             found.setdefault(entry.object, []).append((entry.camera, entry.setup))

@@ -90,7 +90,6 @@ class RemoteStore:
         return from_url(self.url, **options)
 
     def size(self, name: str) -> int:
-        """Return the bytes of a file; raises FileNotFoundError."""
         if name not in self._sizes:
             with self.requesting(name):
                 self._sizes[name] = int(self.objects.head(name)["size"])
@@ -166,11 +165,9 @@ class RemotePath(PurePosixPath):
         return str(self)[len(self.store.url) + 1 :]
 
     def stat(self) -> Any:
-        """Return size and mode of a file; raises FileNotFoundError."""
         return SimpleNamespace(st_size=self.store.size(self.key), st_mode=stat.S_IFREG)
 
     def is_file(self) -> bool:
-        """Whether the server has such a file; raises RemoteRefused where it does not answer."""
         try:
             return bool(self.key) and self.stat().st_size >= 0
         except FileNotFoundError:
@@ -179,7 +176,6 @@ class RemotePath(PurePosixPath):
     exists = is_file
 
     def is_dir(self) -> bool:
-        """Whether the server has files below this name."""
         return next(self.names(), None) is not None
 
     def glob(self, pattern: str) -> Iterator[RemotePath]:
@@ -189,16 +185,13 @@ class RemotePath(PurePosixPath):
         return (self / name for name in found if PurePosixPath(name).match(pattern))
 
     def names(self) -> Iterator[str]:
-        """Yield the names of all files below, relative to it."""
         above = f"{self.key}/" if self.key else ""
         return (n.removeprefix(above) for n in self.store.names if n.startswith(above))
 
     def read_bytes(self) -> bytes:
-        """Return all bytes of a file."""
         return self.store.read(self.key, 0, self.stat().st_size)
 
     def open(self, mode: str = "rb") -> BinaryIO:
-        """Open a file for reading."""
         return cast(BinaryIO, io.BufferedReader(_RemoteFile(self), PIECE))
 
 

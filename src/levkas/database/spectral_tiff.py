@@ -164,7 +164,6 @@ class RowPieces:
             yield first, part
 
     def check_whole(self) -> None:
-        """Raise ValueError where rows are missing."""
         if self._given != self._shape[0]:
             found = self._given + self._filled
             raise ValueError(f"{found} rows of {self._shape[0]} were written")

@@ -81,7 +81,6 @@ class LayerWriter:
                 self._arrays[name][first : first + len(piece)] = piece
 
     def check_whole(self) -> None:
-        """Raise ValueError where rows are missing."""
         for pieces in self._pieces.values():
             pieces.check_whole()
 

@@ -89,7 +89,6 @@ class TiffPages:
         return plane
 
     def strips(self) -> Generator[list[bytes], None, None]:
-        """Yield the strips of each band as they are stored."""
         with self.path.open("rb") as handle:
             for page in self._bands:
                 yield [_stored(handle, page, number) for number in range(len(page.dataoffsets))]

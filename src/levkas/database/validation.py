@@ -32,12 +32,10 @@ class Checked:
 
     @property
     def line(self) -> str:
-        """One line for a log."""
         return f"{self.name}: {'damaged' if self.problems else 'whole'}"
 
     @property
     def state(self) -> str:
-        """``"done"``, or ``"failed"`` where the file is damaged."""
         return "failed" if self.problems else "done"
 
 
@@ -51,18 +49,15 @@ class ValidationReport:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is damaged."""
         return not self.problems
 
     @property
     def text(self) -> str:
-        """Two lines for people."""
         files = len({p.file for p in self.problems})
         end = "all intact" if self.ok else f"{files} damaged, missing or foreign"
         return f"{self.root}: {self.checked} files checked, {end}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what `--json` adds to the problems."""
         return {"checked": self.checked}
 
 
