@@ -13,10 +13,7 @@ if TYPE_CHECKING:
 def open(path: str | Path) -> Database:
     """Open a database: ``open("icons")["icon1"]["lctf-vis"]`` is a lazy array (y, x, band).
 
-    Parameters
-    ----------
-    path : path
-        Folder of a database or of the campaign that it was built from, or its address (``https://``, ``s3://``).
+    `path` is the folder of a database or of the campaign that it was built from, or its address (``https://``, ``s3://``).
 
     Returns
     -------

@@ -267,8 +267,6 @@ def _with_sampling(facts: Mapping[str, Any], px_per_mm: float | None) -> dict[st
 def centres_of(bands: Sequence[Band], centroids: Mapping[str, float] | None = None) -> list[float]:
     """Return what tag 65000 holds: centres, else centroids of sensitivities; 0 … n−1 where one has neither.
 
-    Examples
-    --------
     >>> from levkas.core.cube import Band
     >>> centres_of([Band("R1"), Band("G1")]), centres_of([Band("550 nm", 550.0)])
     ([0.0, 1.0], [550.0])

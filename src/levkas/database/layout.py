@@ -19,8 +19,6 @@ MADE_OF = {"estimated": ".estimate.json", "spliced": ".splice.json"}
 class LayerId:
     """Which layer of a database: `setup` is empty for the default one.
 
-    Examples
-    --------
     >>> layer = LayerId("icon1", "d80", "raking")
     >>> layer.name, layer.stem
     ('d80@raking', 'icon1_d80_raking')

@@ -63,16 +63,10 @@ class Frame:
 
 
 def parse_frame(text: str) -> Frame:
-    """Read ``grid``, ``CAMERA``, ``CAMERA:BAND``, ``CAMERA@SETUP`` or ``CAMERA@SETUP:BAND``, of tiles ``CAMERA#TILE:BAND``.
+    """Read ``grid``, ``CAMERA``, ``CAMERA:BAND``, ``CAMERA@SETUP`` or ``CAMERA@SETUP:BAND``, of tiles ``CAMERA#TILE:BAND``; raises MappingRefused.
 
-    Raises MappingRefused.
-
-    Examples
-    --------
     >>> parse_frame("lctf-nir@45-degree:650 nm")
     Frame(camera='lctf-nir', setup='45-degree', band='650 nm', tile='')
-    >>> parse_frame("d80#r2c3:R")
-    Frame(camera='d80', setup='', band='R', tile='r2c3')
     """
     if text.strip() == GRID:
         return Frame()
@@ -257,19 +251,9 @@ def find_map(database: str | Path, name: str, source: str | Frame, target: str |
 def map_points(
     database: str | Path, name: str, points: np.ndarray, *, source: str, target: str
 ) -> np.ndarray:
-    """Map points of an object from one frame to another.
+    """Map points of an object, (n, 2) px of `source`, x and y, pixel centres at integers, from one frame to another.
 
-    Parameters
-    ----------
-    database : path
-        Folder or address of a database.
-    name : str
-        The object.
-    points : ndarray, (n, 2), px of `source`
-        (x, y), pixel centres at integers.
-    source, target : str
-        Names of frames: ``"grid"``, ``"CAMERA"``, ``"CAMERA:BAND"``, ``"CAMERA@SETUP"``,
-        ``"CAMERA@SETUP:BAND"``, or of a tile ``"CAMERA#TILE:BAND"``.
+    `database` is a folder or an address; frames are named as `parse_frame` has it.
 
     Returns
     -------

@@ -37,8 +37,6 @@ def place(path: str | Path) -> Path:
 
     Raises RemoteRefused where the address is none that is read, or holds a password.
 
-    Examples
-    --------
     >>> str(place("s3://museum/icons/") / "catalogue.csv")
     's3://museum/icons/catalogue.csv'
     """

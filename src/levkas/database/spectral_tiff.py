@@ -249,24 +249,14 @@ def write_stiff(
 ) -> None:
     """Write a spectral TIFF, with the name and the order of arguments that its users know.
 
-    Parameters
-    ----------
-    path : path
-    cube : ndarray, (height, width, bands)
-        Floats (reflectance or counts) are written as float32; uint16 (reflectance × 65535) and uint8 as they are.
-    wavelengths : sequence of float or ndarray, (bands,), nm
-        Ascending or descending.
-    rgb : ndarray, (height, width, 3), uint8, or None
-        A render in sRGB, 0–255.
-    metadata : str
-        Text that is kept with the bands, such as JSON.
+    `cube` is (height, width, bands): floats (reflectance or counts) are written as float32, uint16 (reflectance × 65535) and
+    uint8 as they are. `wavelengths`, nm, ascend or descend; `rgb` is a render in sRGB, (height, width, 3) uint8, or None;
+    `metadata` a text that is kept with the bands, such as JSON.
 
     Raises
     ------
-    TiffRefused
-        Where shapes, dtypes, or bands and wavelengths do not fit.
-    WriteRefused
-        Where the file cannot be written.
+    TiffRefused, WriteRefused
+        Where shapes, dtypes, or bands and wavelengths do not fit; where the file cannot be written.
 
     Examples
     --------
@@ -298,14 +288,7 @@ def read_stiff(
 ) -> tuple[np.ndarray | None, np.ndarray, np.ndarray | None, str]:
     """Read a spectral TIFF, with the name and the order of arguments that its users know.
 
-    Parameters
-    ----------
-    path : path
-        A TIFF whose pages are bands.
-    silent : bool
-        Whether to warn of nothing where wavelengths or texts are repeated on every page.
-    rgb_only : bool
-        Whether to leave the bands out, and to give None for the cube.
+    `silent`: no warning where wavelengths or texts are repeated on every page; `rgb_only`: the bands are left out.
 
     Returns
     -------
@@ -314,9 +297,8 @@ def read_stiff(
     wavelengths : ndarray, (bands,), nm
         0, 1, 2 … where the file has none.
     rgb : ndarray, (height, width, 3), uint8, or None
-        A render in sRGB, 0–255.
+        A render in sRGB.
     metadata : str
-        Text that is kept with the bands.
 
     Raises
     ------
@@ -387,12 +369,7 @@ def decode_text(stored: str) -> str:
 
 
 def read_mtiff(path: str | Path) -> dict[str, np.ndarray]:
-    """Read masks of a TIFF, a page each.
-
-    Parameters
-    ----------
-    path : path
-        A TIFF whose pages have a label, tag 65001.
+    """Read masks of a TIFF, a page each, labelled by tag 65001.
 
     Returns
     -------

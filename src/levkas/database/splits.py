@@ -20,8 +20,6 @@ def split_objects(names: Iterable[str]) -> dict[str, str]:
 
     From three objects on, an empty split takes the object that lies nearest to it from the largest one.
 
-    Examples
-    --------
     >>> split_objects(["icon1", "icon2", "icon3", "icon4", "icon5", "icon6"])["icon1"]
     'test'
     """

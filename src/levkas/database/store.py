@@ -39,8 +39,6 @@ def chunks_of(shape: tuple[int, int, int]) -> tuple[tuple[int, ...], tuple[int, 
     A chunk of about 1 MB holds a few bands of a square, so that a spectrum needs few chunks and a
     band a small part of all; a shard is a slab of whole rows where that stays below the limit.
 
-    Examples
-    --------
     >>> chunks_of((1040, 1392, 33))
     ((128, 128, 11), (256, 1408, 33))
     """
