@@ -7,7 +7,7 @@ u² = [vS/nS + vD/nD + r²(vW/nW + vD′/nD′) − 2 r ρ √(vD/nD · vD′/nD
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -108,7 +108,8 @@ def flat_field(
     [[0.49..., 0.49...]]
     """
     darks = [dark] if isinstance(dark, Template) else list(dark or ())
-    _check_shapes(shot, darks, white, defects)
+    named = {"dark" if i == 0 else f"dark {i + 1}": one for i, one in enumerate(darks)}
+    require_same_size(shot, {**named, "white": white, "defects": defects})
     if groups := bands_alike(shot, *darks, white):
         parts = (
             flat_field(
@@ -303,23 +304,25 @@ def describe_darks(
     return tuple(notes)
 
 
-def _check_shapes(
-    shot: Template, darks: Sequence[Template], white: Template | None, defects: np.ndarray | None
-) -> None:
-    offered = [("dark", d.mean) for d in darks]
-    offered += [("white", white.mean)] if white is not None else []
-    offered += [("defects", defects)] if defects is not None else []
+def require_same_size(shot: Template, others: Mapping[str, Template | np.ndarray | None]) -> None:
+    """Refuse what is of another size than the object, one line high or not, all at once, by name; raises CalibrationRefused, E_SIZE."""
     height, *rest = shot.mean.shape
+    shapes = {
+        name: one.shape if isinstance(one, np.ndarray) else one.mean.shape
+        for name, one in others.items()
+        if one is not None
+    }
     problems = [
         Problem(
             "E_SIZE",
             f"{name} and object differ in size",
-            found=str(array.shape),
+            field=name,
+            found=str(shape),
             expected=str(shot.mean.shape),
             fix="Capture dark and white in the same mode and with the same crop as the object.",
         )
-        for name, array in offered
-        if list(array.shape[1:]) != rest or array.shape[0] not in (1, height)
+        for name, shape in shapes.items()
+        if list(shape[1:]) != rest or shape[0] not in (1, height)
     ]
     if problems:
         raise CalibrationRefused(*problems)

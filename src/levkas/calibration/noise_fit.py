@@ -44,7 +44,7 @@ SPREAD = 2.0
 UNLIKE = 1.3
 """Of the variance of other bands, or its inverse, from which on a band has another gain; two shots tell 1 %."""
 
-Phase = tuple[slice, slice]
+Phase = tuple[slice | int, ...]
 Groups = list[tuple[float, float, float, float]]
 """Light, dimming of read², variance and degrees of freedom: variance = gain · light + read² · dimming."""
 
@@ -150,7 +150,7 @@ def fit_noise_of_frames(
 ) -> NoiseModel | None:
     """Estimate the noise of a sensor from stacks, else from single shots.
 
-    Frames are (h, w), of one sensor at one gain; a white or None for each shot. Where there are more whites than shots, as
+    Frames are (h, w) or (h, w, bands), of one sensor at one gain; a white or None for each shot. Where there are more whites than shots, as
     of a line scan, single shots are not used. Where stacks hold no dark and leave no read noise above rounding's, that of
     single shots is taken.
     """
@@ -328,8 +328,10 @@ def fit_noise_single(
     like signal the smoothest tenth, over what the fit of the round before expects of each, is read as what chi-squared says
     of pure noise. Fine texture everywhere still counts as noise.
     """
+    bands = range(shots[0].mean.shape[2] if shots and shots[0].mean.ndim == 3 else 0)
     period = (1, 1) if pattern is None else channel_table(pattern).shape
-    phases = [np.s_[y :: period[0], x :: period[1]] for y, x in np.ndindex(period)]
+    phases: list[Phase] = [np.s_[y :: period[0], x :: period[1]] for y, x in np.ndindex(period)]
+    phases = [np.s_[:, :, k] for k in bands] or phases
     darks, warmth, lowest = _levels_of(dark, len(shots))
     groups: list[np.ndarray] = []
     for shot, white, under, warm in zip(shots, whites, darks, warmth, strict=True):
