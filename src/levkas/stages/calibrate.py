@@ -19,6 +19,7 @@ from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.record import SensorRecord, findings_of, findings_of_lamp
+from levkas.calibration.reflectance import defects_of
 from levkas.calibration.sensor import (
     SERIES,
     SensorCapture,
@@ -48,7 +49,6 @@ from levkas.stages.exposures import (
     average_shots,
     check_scaling,
     cube_of,
-    defects_of,
     expose,
     flatten,
     lost_values,

@@ -10,7 +10,6 @@ import numpy as np
 
 from levkas.calibration.agreement import facts_of
 from levkas.calibration.darks import SAME_TIME, level_under
-from levkas.calibration.defects import find_defects
 from levkas.calibration.exposures import (
     best_exposure,
     check_linearity,
@@ -21,11 +20,11 @@ from levkas.calibration.exposures import (
 )
 from levkas.calibration.findings import Finding, refusal
 from levkas.calibration.flatfield import Calibrated, flat_field
-from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import fit_noise_of_band, fit_noise_of_frames
+from levkas.calibration.reflectance import movement, with_marks
 from levkas.calibration.sensor import SensorCapture, exposure_of, placed, placing
 from levkas.calibration.templates import CalibrationRefused, Template, gaps_of
-from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
+from levkas.calibration.white_area import WhiteArea, find_white_area
 from levkas.calibration.whites import WhiteBoard, check_white
 from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.rounding import round_root, round_values
@@ -255,37 +254,21 @@ def flatten(
         problems = (context.with_full_scale(p) for p in refused.problems)
         raise CalibrationRefused(*(placed(p, frames) for p in problems)) from None
     if moved is None:
-        moved = _moved(context, shot, dark, noise)
+        moved = movement(shot, dark, context.black_level, noise, context.period)
+    notes = list(flat.notes)
     if moved is not None and moved.any():
-        note = Finding("moved", number=100 * float(np.mean(moved))).describe()
-        flags = np.where(moved, flat.flags | np.uint8(Flag.MOVED), flat.flags)
-        flat = replace(flat, flags=flags, notes=(*flat.notes, note))
-    return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
-
-
-def _with_gaps(
-    context: SensorCapture,
-    flat: Calibrated,
-    templates: Sequence[Template | None],
-    labels: Sequence[str],
-) -> Calibrated:
-    """Flag as defects what templates have lost, where the object, the first of them, is there; where it is absent nothing is."""
-    lost, absent = gaps_of(*templates), templates[0].absent if templates[0] else None
-    values, flags, variance, notes = flat.values, flat.flags, flat.variance, flat.notes
-    nothing = np.float32(np.nan)
-    if lost is not None and absent is not None:
-        values = np.where(absent, nothing, values)
-        variance = None if variance is None else np.where(absent, nothing, variance)
-        flags = np.where(absent, np.uint8(Flag.OUTSIDE), flags)
-        lost = lost & ~absent
+        notes.append(Finding("moved", number=100 * float(np.mean(moved))).describe())
+    templates = (shot, *dark, white)
+    lost = gaps_of(*templates)
+    if lost is not None:
+        lost = np.broadcast_to(
+            lost if shot.absent is None else lost & ~shot.absent, shot.mean.shape
+        )
     if lost is not None and lost.any():
-        lost = np.broadcast_to(lost, values.shape)
-        notes = (*notes, lost_values(lost, labels[0] if len(labels) == 1 else "all bands"))
-        if context.unmended:  # not replaced from its neighbours: the value is gone
-            values = np.where(lost, nothing, values)
-            variance = None if variance is None else np.where(lost, nothing, variance)
-        flags = np.where(lost, flags | np.uint8(Flag.DEFECT), flags)
-    return replace(flat, values=values, variance=variance, flags=flags, notes=notes)
+        labels = board.labels or ()
+        notes.append(lost_values(lost, labels[0] if len(labels) == 1 else "all bands"))
+    flat = replace(flat, notes=tuple(notes))
+    return with_marks(flat, templates, moved, mended=not context.unmended)
 
 
 def lost_values(lost: np.ndarray, subject: str) -> str:
@@ -296,19 +279,6 @@ def lost_values(lost: np.ndarray, subject: str) -> str:
     """
     count = int(np.count_nonzero(lost))
     return Finding("lost", subject, count, lost.size).describe()
-
-
-def _moved(
-    context: SensorCapture, shot: Template, dark: list[Template], noise: NoiseModel | None
-) -> np.ndarray | None:
-    """Return what moved between the object's shots; None where that cannot be measured."""
-    if shot.count < 2 or noise is None or noise.source != "temporal":
-        return None
-    # One number for the dark: a hot sensel's current counts as light, as it does for its noise.
-    level: float | np.ndarray = 0.0 if context.black_level is None else context.black_level
-    if dark:
-        level = float(np.median(dark[0].mean))
-    return find_moved(shot, noise, level, period=context.period)
 
 
 def cube_of(
@@ -338,19 +308,6 @@ def cube_of(
         if band.bad:
             flags[..., i] |= np.uint8(Flag.DEFECT)
     return Cube(values, flags, sigma, context.sensor.bands, quantity)
-
-
-def defects_of(
-    darks: list[Template],
-    white: Template | None,
-    pattern: Any,
-    uncovered: np.ndarray | None = None,
-) -> np.ndarray | None:
-    """Hot sensels of the longest dark and dead ones of the white, where it shows the board."""
-    if not darks and white is None:
-        return None
-    board = None if white is None else board_alone(white, uncovered)
-    return find_defects(darks[-1] if darks else None, board, pattern)
 
 
 def mark_glare_in(cube: Cube) -> Cube:
