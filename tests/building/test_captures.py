@@ -246,7 +246,7 @@ ROWS = [
     *(Row(f"darks clipped at {black:g}", ALL, {"black": black, "shots": (8, 6, 2)}, [], [right(0.004, (0.85, 1.15))])
       for black in (0.0, 3.0)),
     Row("what is fitted to clipped darks is recorded", "bands", {"black": 0.0, "shots": (8, 4, 2)}, [],
-        [recorded("clipped_darks/*/noise", 2.5, rel=0.08), told("0 ")]),
+        [recorded("clipped_darks/*/noise", 2.5, rel=0.08), told("clipped", "black")]),
     Row("darks of nothing but zeros", "bands", {"black": 0.0},
         [frames("dark*", lambda c: 0 * c)], [told("black level")]),
     Row("hot sensels of clipped darks", "bands", {"black": 0.0},

@@ -6,11 +6,11 @@ from levkas.calibration.lamp import (
     average_steady,
     black_between,
     lamp_between,
-    measure_drift,
 )
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import NoiseModel
 from levkas.calibration.templates import ShotLevels, average
+from levkas.quality.emva1288.drift import measure_drift
 
 
 def series(scales, seed=1):
@@ -22,7 +22,7 @@ def series(scales, seed=1):
 def drift_of(frames):
     light = CellMeans()
     average(light.watch(frames))
-    return measure_drift(light.cells, 64.0)
+    return measure_drift(light.channels.reshape(len(frames), -1), 64.0)
 
 
 def test_a_lamp_that_warms_up_is_noticed():

@@ -60,7 +60,7 @@ class Finding:
     def describe(self) -> str:
         """Return one sentence with the number, and what to do.
 
-        >>> Finding("moved", number=0.02).describe()
+        >>> Finding("moved", number=2.0).describe()
         'some pixels moved between shots: 2 % of them, which are flagged'
         """
         row = FINDINGS[self.code]
@@ -99,7 +99,7 @@ def decide(findings: Iterable[Finding | str]) -> list[str]:
 
     Examples
     --------
-    >>> decide([Finding("moved", number=0.5), "", "as it is"])
+    >>> decide([Finding("moved", number=50.0), "", "as it is"])
     ['some pixels moved between shots: 50 % of them, which are flagged', 'as it is']
     """
     every = [one for one in dict.fromkeys(findings) if one]

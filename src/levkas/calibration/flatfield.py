@@ -263,7 +263,7 @@ def require_dark(
     >>> dark, frame = (Template(np.full((1, 1), 64, "f4"), None, 1, none, none, t) for t in (0.1, 0.4))
     >>> require_dark(frame, match_dark(dark, 0.4), NoiseModel(0.25, 4.0))
     Traceback (most recent call last):
-    levkas.calibration.templates.CalibrationRefused: ...
+    levkas.calibration.findings.CalibrationRefused: ...
     """
     level, variance = under.level, 1.0
     current = max(level, 0.0)

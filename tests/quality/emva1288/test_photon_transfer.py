@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.codes import count_codes, find_levels
-from levkas.calibration.lamp import CellMeans, measure_drift
+from levkas.calibration.codes import count_codes
+from levkas.calibration.lamp import CellMeans
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.templates import CalibrationRefused, average
 from levkas.quality.emva1288.blocks import Blocks, block_statistics
 from levkas.quality.emva1288.darks import Dark
+from levkas.quality.emva1288.drift import measure_drift
+from levkas.quality.emva1288.levels import find_levels
 from levkas.quality.emva1288.photon_transfer import measure_sensor
 from levkas.simulation.capture import expose, fixed_pattern, key
 
@@ -42,7 +44,7 @@ class Camera:
     def stack(self, share, count=4):
         light, full = CellMeans(), self.sensor.saturation
         made = average(light.watch(self.shots(share, count)), saturation=full, exposure_s=share)
-        drift = measure_drift(light.cells, self.sensor.black)
+        drift = measure_drift(light.channels.reshape(len(light.shots), -1), self.sensor.black)
         return block_statistics(made, drift=drift, dark=self.sensor.black)[""]
 
     def darks(self):

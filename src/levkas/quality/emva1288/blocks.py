@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.calibration.lamp import Drift, common_variance
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
+from levkas.quality.emva1288.drift import Drift, common_variance
 
 SIDE = 16  # pixels of one phase
 STRAY = 7.0  # sigmas of a block at which a pixel is a defect: one in 10^12 by chance

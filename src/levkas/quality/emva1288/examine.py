@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.codes import Levels
 from levkas.calibration.findings import decide
 from levkas.calibration.record import findings_of
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.quality.emva1288.facts import FrameFacts, describe_frame
+from levkas.quality.emva1288.levels import Levels
 from levkas.quality.emva1288.photon_transfer import measure_sensor
 from levkas.quality.emva1288.report import Examination, SensorReport
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from levkas.calibration.codes import Levels, count_codes, find_levels
+from levkas.calibration.codes import count_codes
+from levkas.quality.emva1288.levels import Levels, find_levels
 from levkas.readers.frames import read_facts, read_frame
 from levkas.readers.tiff import read_tiff_pages
 

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.codes import Levels
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem
 from levkas.quality.emva1288.blocks import Blocks
 from levkas.quality.emva1288.darks import Dark, DarkModel, mean_of
+from levkas.quality.emva1288.levels import Levels
 
 DRAWS = 200
 LEAST_QUANTISED = 0.24  # counts²: below it EMVA 1288 takes rounding for the noise

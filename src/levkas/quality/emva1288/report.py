@@ -7,13 +7,13 @@ from math import log2, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.calibration.lamp import Drift
 from levkas.core.problems import Problem
+from levkas.quality.emva1288.drift import Drift
 from levkas.quality.emva1288.facts import FrameFacts, describe_levels
 from levkas.quality.emva1288.photon_transfer import Interval, PhotonTransfer
 
 if TYPE_CHECKING:
-    from levkas.calibration.codes import Levels
+    from levkas.quality.emva1288.levels import Levels
 
 ROWS = (
     ("gain", "system gain K", "DN/e⁻", 1.0),

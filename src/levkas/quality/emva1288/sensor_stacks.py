@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.clipped_darks import is_clipped
-from levkas.calibration.codes import Levels
-from levkas.calibration.lamp import Drift
 from levkas.calibration.sensor import SensorCapture, exposure_of
 from levkas.calibration.templates import Template
 from levkas.quality.emva1288.blocks import Blocks, block_statistics
 from levkas.quality.emva1288.darks import Dark, DarkModel, mean_of
+from levkas.quality.emva1288.drift import Drift
+from levkas.quality.emva1288.levels import Levels
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import FrameRef

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.agreement import compare_facts
-from levkas.calibration.codes import MOST_CODES, count_codes, find_levels
-from levkas.calibration.lamp import CellMeans, measure_drift
+from levkas.calibration.codes import MOST_CODES, count_codes
+from levkas.calibration.lamp import CellMeans
 from levkas.calibration.sensor import exposure_of, open_sensor
 from levkas.calibration.templates import CalibrationRefused, average
 from levkas.core.problems import Problem
 from levkas.quality.emva1288.blocks import Blocks
+from levkas.quality.emva1288.drift import measure_drift
+from levkas.quality.emva1288.levels import find_levels
 from levkas.quality.emva1288.sensor_stacks import (
     SensorStacks,
     by_exposure,
@@ -116,7 +118,9 @@ def _lit(
     stack = bench.whole(average(frames, saturation=bench.saturation, exposure_s=time), shots)
     sensor.reached |= bool(np.mean(stack.saturated) > 1e-3)
     label = f"{name} {shots[0].band or ''} {f'{time:g} s' if time else ''}".strip()
-    drift = measure_drift(light.cells, level_under(sensor, shots[0].band, time))
+    drift = measure_drift(
+        light.channels.reshape(len(shots), -1), level_under(sensor, shots[0].band, time)
+    )
     if drift is not None:
         sensor.light.append((" ".join(label.split()), drift))
     blocks = reduce_stack(stack, bench, drift)

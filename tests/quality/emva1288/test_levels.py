@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.codes import Levels, count_codes, find_levels
+from levkas.calibration.codes import count_codes
+from levkas.quality.emva1288.levels import Levels, find_levels
 
 X = np.arange(683)
 D80 = np.rint(X + 0.01565 * np.maximum(X - 215, 0) ** 2).astype(np.uint16)
