@@ -28,7 +28,6 @@ from typing import Any
 
 import numpy as np
 
-from levkas.campaign.methods import METHODS
 from levkas.core.machine import count_threads
 from levkas.core.problems import Refused
 from levkas.core.text import read_json
@@ -37,6 +36,7 @@ from levkas.geometry import from_dict
 from levkas.geometry.transforms import Composed
 from levkas.quality.evaluation.layer_report import find_truth, locate
 from levkas.registration import BandImage, register
+from levkas.registration.methods import METHODS
 
 sys.path.insert(0, str(Path(__file__).with_name("peers")))
 from levkas_peers.native import NativeLayer, read_native_layer

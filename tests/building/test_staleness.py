@@ -37,9 +37,9 @@ from levkas.building.inputs import (
 from levkas.building.plan import read_plan
 from levkas.building.records_file import NAME
 from levkas.campaign import campaign as campaign_module
-from levkas.campaign import methods
 from levkas.campaign.schema import tables
 from levkas.core.digests import hash_tree, stamp_of
+from levkas.registration import methods
 
 EVERY, FEW = bool(os.environ.get("LEVKAS_EVERY_CASE")), 3
 Change = Callable[[Path], None]

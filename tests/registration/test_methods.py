@@ -12,7 +12,7 @@ MODULE = """
 import numpy as np
 from pydantic import BaseModel
 
-from levkas.campaign.methods import Method
+from levkas.registration.methods import Method
 from levkas.geometry.transforms import Affine
 from levkas.registration.record import Matches, Registration, Verdict
 

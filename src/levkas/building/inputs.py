@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from levkas.building.build_records import UNREADABLE, Key
 from levkas.building.graph import captures_of
 from levkas.campaign.discovery.captures import Capture
-from levkas.campaign.methods import DEFAULT_METHOD, code_of
 from levkas.campaign.schema.tables import (
     CALIBRATE,
     CAMERA,
@@ -28,6 +27,7 @@ from levkas.campaign.schema.tables import (
     Table,
 )
 from levkas.core.internal_errors import CODE as INTERNAL
+from levkas.registration.methods import DEFAULT_METHOD, code_of
 from levkas.stages.control_points import fingerprint_points
 from levkas.stages.sources import made_with
 

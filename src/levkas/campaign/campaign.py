@@ -11,7 +11,6 @@ from typing import Annotated, Any
 from pydantic import ValidationError
 
 from levkas.campaign.edits import FILE_NAME, Edits, read_edits
-from levkas.campaign.methods import method_of
 from levkas.campaign.schema.cross_checks import (
     find_contradictions,
     find_ineffective,
@@ -28,6 +27,7 @@ from levkas.campaign.schema.tables import (
 from levkas.campaign.schema.toml import TomlRefused, read_toml
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import missing_path
+from levkas.registration.methods import method_of
 
 __all__ = ["Camera", "Campaign", "CampaignInvalid", "campaign_of", "load_campaign"]
 

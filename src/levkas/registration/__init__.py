@@ -1,52 +1,26 @@
 """Registration: which pixel of which band of which camera shows which point of the reference.
 
-A method is a row of `levkas.campaign.methods.METHODS`: the model of its options, and a function of a `Request`
-and these options that returns a `Registration`.
+A method is a row of `levkas.registration.methods.METHODS`: the model of its options, and a function of a `Request` and these options that
+returns a `Registration`. Names are loaded when they are first used: a campaign needs the table of methods alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from levkas.campaign.methods import DEFAULT_METHOD, METHODS, Method
-from levkas.registration.advice import advise
-from levkas.registration.bands import BandImage
-from levkas.registration.record import (
-    Matches,
-    Registration,
-    RegistrationRefused,
-    Trace,
-    Verdict,
-    refusal,
-)
-from levkas.registration.request import Request
-
 if TYPE_CHECKING:
-    from levkas.registration.manual_points import ManualPoints
-
-#: Module and function of the built-in methods, imported when first used.
-BUILT_IN = {
-    "levkas": ("levkas.registration.levkas", "register_levkas"),
-    "mirhashemi2019": ("levkas.registration.mirhashemi2019", "register_mirhashemi2019"),
-}
-#: Codes of refusals for which a person's pairs help.
-OF_PICTURES = {"E_MATCHES", "E_WINDOWS", "E_SCALE", "E_FOLD"}
-#: Fields of the request that are given by name.
-FURTHER = {
-    "outline",
-    "layer",
-    "target_region",
-    "align",
-    "one_scan",
-    "reference_transforms",
-    "reference_sigma",
-    "prepared",
-}
+    from levkas.registration.bands import BandImage
+    from levkas.registration.methods import METHODS, Method
+    from levkas.registration.record import (
+        Matches,
+        Registration,
+        RegistrationRefused,
+        Trace,
+        Verdict,
+    )
+    from levkas.registration.request import Request
+    from levkas.registration.run import register
 
 __all__ = [
     "METHODS",
@@ -60,211 +34,17 @@ __all__ = [
     "Verdict",
     "register",
 ]
+_HOMES = {
+    "METHODS": "methods",
+    "Method": "methods",
+    "BandImage": "bands",
+    "Request": "request",
+    "register": "run",
+}
+"""Name → module; the others are of `record`."""
 
 
-def register(
-    reference: np.ndarray | Sequence[BandImage],
-    target: np.ndarray | Sequence[BandImage],
-    *,
-    reference_band: str | None = None,
-    method: str = DEFAULT_METHOD,
-    region: Sequence[float] | None = None,
-    given: Mapping[str, ManualPoints] | None = None,
-    **options: Any,
-) -> Registration:
-    """Find the map from reference px to native px of every band of one camera.
-
-    Parameters
-    ----------
-    reference : ndarray, (h, w) or (h, w, bands), or sequence of BandImage
-        Pixels of the reference camera, at least 16 px a side, in any unit. Integers and floats are taken; a
-        value that is not finite is not used. Bands of an array are labelled ``"1"``, ``"2"``, …
-    target : ndarray, (h, w) or (h, w, bands), or sequence of BandImage
-        Pixels of the camera to register, of any size; the same object as `reference` for the reference
-        camera's own bands.
-    reference_band : str, optional
-        Label of the band of `reference` that defines reference px. Default: the middle band.
-    method : str
-        A key of `METHODS`: ``"levkas"``, ``"mirhashemi2019"``, or one of an installed package.
-    region : (x, y, width, height), reference px, optional
-        Where the object lies; nothing outside is used or judged.
-    given : mapping of sensor name to ManualPoints, optional
-        Pairs given by hand: added and pinned ones are never removed, deleted ones never used, check
-        points are measured into ``errors["check_points"]``, each by the band that it was placed in. Where they are
-        `accepted`, the map of their sensor is fitted to them alone, whatever the method.
-    **options
-        Of the method, as campaign.toml names them; None is the default. Further fields of the
-        `Request` are taken too, e.g. `reference_transforms`.
-
-    Returns
-    -------
-    registration : Registration
-        `transforms`: band label → map, reference px to native px of the band; `sigma`: band label →
-        one standard deviation of the position, reference px; `verdict`: `decision` is ``"accept"``,
-        ``"warn"``, ``"by hand"`` or ``"refuse"``, with `reasons`. A map with the verdict ``"refuse"`` is not reliable.
-
-    Raises
-    ------
-    RegistrationRefused
-        ``E_MATCHES`` and others where no map is found; ``E_VALUE``, ``E_SIZE``, ``E_BAND_MISSING`` or
-        ``E_BAND_TWICE`` where an argument is wrong.
-
-    Notes
-    -----
-    The method ``"mirhashemi2019"`` is section 3.5 of [mirhashemi2019]_, doi:10.3390/computation7030047. The default method
-    is described in docs/explanation/registration.md.
-
-    Examples
-    --------
-    A picture, and the same scene moved by 5 px and 3 px:
-
-    >>> import numpy as np
-    >>> from scipy.ndimage import gaussian_filter
-    >>> scene = gaussian_filter(np.random.default_rng(1).random((260, 330)), 2)
-    >>> found = register(scene[:240, :300], scene[3:243, 5:305])
-    >>> found.verdict.decision
-    'accept'
-    >>> found.transforms["1"](np.array([[150.0, 120.0]])).round(1).tolist()
-    [[145.0, 117.0]]
-    """
-    from levkas.core.machine import steady_libraries
-    from levkas.registration.request import check_request, read_options
-
-    own = target is reference
-    reference = _bands_of(reference, "reference")
-    target = reference if own else _bands_of(target, "target")
-    if reference_band is None:
-        reference_band = reference[len(reference) // 2].label if len(reference) else ""
-    given = {name: pairs for name, pairs in (given or {}).items() if pairs}
-    further = {name: options.pop(name) for name in FURTHER & options.keys()}
-    request = Request(reference, target, reference_band, region=region, given=given, **further)
-    check_request(request, method, METHODS)
-    chosen = read_options(METHODS[method].options, options)
-    placed = any(pairs.accepted for pairs in given.values())
-    if placed and method != DEFAULT_METHOD:  # it places by pairs, with no option of another's
-        method, chosen = DEFAULT_METHOD, read_options(METHODS[DEFAULT_METHOD].options, {})
-    run = _function(method)
-    pairs_given = max((len(pairs.fixed) for pairs in given.values()), default=0)
-    try:
-        with steady_libraries():
-            found = _run(run, request, chosen)
-    except RegistrationRefused as refused:
-        if placed:
-            raise
-        raise _with_advice(refused, pairs_given) from None
-    _require_maps(found, request, method)
-    if not placed:
-        step = advise(found.verdict.next_step, pairs_given, found.verdict.decision)
-        found = replace(found, verdict=replace(found.verdict, next_step=step))
-    return _with_checks(found, target, given)
-
-
-def _run(
-    run: Callable[[Request, Any], Registration], request: Request, chosen: Any
-) -> Registration:
-    """Run a method; once more with the target reduced where it is too fine, a macro photograph of a part."""
-    from levkas.registration.reduced import enlarged, reduce_target
-
-    try:
-        return run(request, chosen)
-    except RegistrationRefused as refused:
-        if request.is_own or "E_SCALE" not in {problem.code for problem in refused.problems}:
-            raise
-        try:
-            return enlarged(run(reduce_target(request), chosen))
-        except RegistrationRefused:
-            raise refused from None
-
-
-def _require_maps(found: Registration, request: Request, method: str) -> None:
-    """Refuse a registration that lacks the map of a band: a fault of its method, not of the pictures."""
-    lacking = [band.label for band in request.target if band.label not in found.transforms]
-    if lacking:
-        raise refusal(
-            "E_METHOD",
-            f"the registration method {method!r} returns no map for {len(lacking)} of {len(request.target)} bands",
-            field="registration.method",
-            found=", ".join(lacking[:12]),
-            expected="a transform of every band of the target, by its label",
-            fix="Report this to the author of the method, or choose another one.",
-        )
-
-
-def _with_advice(refused: RegistrationRefused, pairs: int) -> RegistrationRefused:
-    """Return a refusal in which problems of the pictures, not of the arguments, name the workbench."""
-    problems = (
-        replace(one, fix=advise(one.fix or "", pairs)) if one.code in OF_PICTURES else one
-        for one in refused.problems
-    )
-    return RegistrationRefused(*problems, trace=refused.trace)
-
-
-def _bands_of(pixels: np.ndarray | Sequence[BandImage], name: str) -> Sequence[BandImage]:
-    """Return the bands of an array, labelled by their number from 1; other sequences as they are."""
-    found, fix = type(pixels).__name__, None
-    if hasattr(pixels, "__array__"):
-        array = np.asarray(pixels)
-        if isinstance(pixels, np.ma.MaskedArray):
-            array = np.where(np.ma.getmaskarray(pixels), np.float32(np.nan), array)
-        if array.ndim in (2, 3) and array.dtype.kind in "uif" and np.isfinite(array).any():
-            planes = np.moveaxis(np.atleast_3d(array), -1, 0)
-            return [BandImage.of(str(i), plane) for i, plane in enumerate(planes, 1)]
-        finite = array.dtype.kind not in "f" or np.isfinite(array).any()
-        found = f"{array.dtype} {array.shape}{'' if finite else ', no finite value'}"
-    elif isinstance(pixels, Sequence) and not isinstance(pixels, str):
-        if all(isinstance(band, BandImage) for band in pixels):
-            return pixels
-        found = f"{found} of {type(pixels[0]).__name__}"
-        fix = "Give one array; np.stack(pictures, axis=-1) makes it."
-    expected = "an array (height, width) or (height, width, bands) of integers or floats"
-    raise refusal(
-        "E_VALUE", f"the {name} is no picture", field=name, found=found, expected=expected, fix=fix
-    )
-
-
-def _function(method: str) -> Callable[[Request, Any], Registration]:
-    """Return the function of a method; of a built-in one it is imported now."""
-    if method not in BUILT_IN:
-        row = METHODS[method].register
-        assert row is not None, f"the method {method!r} has no function"
-        return row
-    module, name = BUILT_IN[method]
-    found: Callable[[Request, Any], Registration] = getattr(import_module(module), name)
-    return found
-
-
-def _with_checks(
-    found: Registration, target: Sequence[BandImage], given: Mapping[str, ManualPoints]
-) -> Registration:
-    """Measure every check point by the map of the band in which it was placed."""
-    from levkas.registration.manual_points import measure_checks, with_checks
-
-    report: list[dict[str, Any]] = []
-    matches, others = found.matches, dict(found.others)
-    for sensor, pairs in given.items():
-        first = next((image.label for image in target if image.sensor == sensor), None)
-        if first is None or not len(pairs.checks):
-            continue
-        labels = [label or first for label in pairs.placed or ("",) * len(pairs.checks)]
-        errors = np.full(len(labels), np.nan)
-        for label in dict.fromkeys(labels):
-            here = np.array([one == label for one in labels])
-            errors[here] = measure_checks(pairs.checks[here], found.transforms[label])
-        if sensor == target[0].sensor:
-            matches = with_checks(matches, pairs.checks, errors)
-        elif sensor in others:
-            others[sensor] = with_checks(others[sensor], pairs.checks, errors)
-        report += [
-            {
-                "band": label,
-                "reference": pair[:2].tolist(),
-                "target": pair[2:].tolist(),
-                "error": float(error),
-            }
-            for label, pair, error in zip(labels, pairs.checks, errors, strict=True)
-        ]
-    if not report:
-        return found
-    return replace(
-        found, matches=matches, others=others, errors={**found.errors, "check_points": report}
-    )
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'record')}"), name)

@@ -224,8 +224,8 @@ class CameraFeatures:
         h, w = (image.shape[0] // n) * n, (image.shape[1] // n) * n
         small = image[:h, :w].reshape(h // n, n, w // n, n).mean((1, 3)) if n > 1 else image
         picture = _equalised(_gradient_magnitude(small) if number == EDGES else small)
-        seen = np.isfinite(small).astype(np.uint8) * 255
-        found = _sift(picture, seen, nfeatures=KEY_POINTS, edgeThreshold=EDGE_THRESHOLD)
+        shown = np.isfinite(small).astype(np.uint8) * 255
+        found = _sift(picture, shown, nfeatures=KEY_POINTS, edgeThreshold=EDGE_THRESHOLD)
         x, y = found.points.T
         found = found[np.lexsort((found.angles, y, x, -found.responses))[:KEY_POINTS]]
         points, sizes = (found.points + 0.5) * n - 0.5, found.sizes * n

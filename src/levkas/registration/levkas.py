@@ -48,8 +48,8 @@ from levkas.registration.starts import (
 from levkas.registration.verdict import ALIGN_PX, ONLY, Judged, judge
 
 if TYPE_CHECKING:
-    from levkas.campaign.methods import LevkasOptions
     from levkas.registration.bands import BandImage
+    from levkas.registration.methods import LevkasOptions
     from levkas.registration.predictors import ReferenceStack
     from levkas.registration.request import Request
 

@@ -298,6 +298,17 @@ def _fit(g, t, ridge, shift, info, sensitivity):  # type: ignore[no-untyped-def]
     return max(left, 0.0)
 
 
+@njit
+def _sum_partial(g, r, c, sums, counts, slots, partial):  # type: ignore[no-untyped-def]
+    """Sum the products of a window of which the band covers some cells in part."""
+    g[:] = 0.0
+    for a in range(max(r - 1, 0), min(r + 2, counts.shape[0])):
+        for b in range(max(c - 1, 0), min(c + 2, counts.shape[1])):
+            if counts[a, b] > 0:
+                here = partial[slots[a, b]] if slots[a, b] >= 0 else sums[a, b]
+                _add_scaled(g, _tent(r, c, a, b), here)
+
+
 @njit(cache=True)
 def fit_windows(start, stop, predictor, band, least, ridge, out):  # type: ignore[no-untyped-def]
     """Fit every window that has `least` weighted pixels.
@@ -321,12 +332,7 @@ def fit_windows(start, stop, predictor, band, least, ridge, out):  # type: ignor
                     line += _tent(r, c, a, b) * lines[a, b]
                     cut = cut or counts[a, b] != whole[a, b]
             if cut:
-                own[:] = 0.0
-                for a in range(max(r - 1, 0), min(r + 2, counts.shape[0])):
-                    for b in range(max(c - 1, 0), min(c + 2, counts.shape[1])):
-                        if counts[a, b] > 0:
-                            here = partial[slots[a, b]] if slots[a, b] >= 0 else sums[a, b]
-                            _add_scaled(own, _tent(r, c, a, b), here)
+                _sum_partial(own, r, c, sums, counts, slots, partial)
                 if not _eliminate(own, r, c, n):
                     continue
             elif not able[r, c]:

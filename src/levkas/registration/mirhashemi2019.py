@@ -36,7 +36,7 @@ from levkas.registration.window_matching import CheckWindows, search_windows
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from levkas.campaign.methods import PaperOptions
+    from levkas.registration.methods import PaperOptions
     from levkas.registration.request import Request
 
 REJECT_SHARE = 1 / 16

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from levkas.campaign.methods import UNUSABLE
 from levkas.core.problems import Problem
 from levkas.core.requirements import requirement
+from levkas.registration.methods import UNUSABLE
 from levkas.registration.record import RegistrationRefused
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.campaign.methods import method_of
 from levkas.core.cube import find_band
 from levkas.database.registrations import read_registration
 from levkas.geometry import from_dict
@@ -19,6 +18,7 @@ from levkas.registration import Matches, Registration, Verdict
 from levkas.registration.bands import sqrt_images
 from levkas.registration.features import GreyImages
 from levkas.registration.foreground import ObjectArea
+from levkas.registration.methods import method_of
 from levkas.registration.record import Sigma
 from levkas.stages.parts import Placement
 from levkas.stages.spectra import middle_band, reference_channel

@@ -14,7 +14,6 @@ import numpy as np
 
 from levkas import __version__
 from levkas.campaign.camera_kinds import KINDS
-from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.files import make_folder, remove, together, write_json, write_text
 from levkas.core.problems import Problem, Refused
 from levkas.database.preview import encode_png
@@ -25,6 +24,7 @@ from levkas.pages.page import embed_png
 from levkas.readers.frames import read_headers
 from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.manual_points import ManualPoints
+from levkas.registration.methods import DEFAULT_METHOD
 from levkas.registration.record import COLUMNS, HandMark, Matches
 from levkas.registration.reduced import enlarged
 from levkas.stages.control_points import corrections_beside, corrections_of

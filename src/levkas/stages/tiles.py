@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine
 from levkas.registration.advice import LOOK
+from levkas.registration.methods import DEFAULT_METHOD
 from levkas.registration.record import Matches, RegistrationRefused, Sigma, Verdict
 from levkas.stages.parts import CalibratedCapture, PartPlace, Placement
 

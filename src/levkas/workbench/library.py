@@ -26,12 +26,12 @@ from levkas.campaign.edits import (
     change_outline,
     read_edits,
 )
-from levkas.campaign.methods import method_of
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
 from levkas.database.layout import Places
 from levkas.database.registrations import apply_confirmation, digest_of_map, unchecked_share
 from levkas.pages.page import describe_decision
+from levkas.registration.methods import method_of
 from levkas.registration.record import COLUMNS, DECISIONS, Matches, decided
 from levkas.stages.native_files import part_name
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of

@@ -12,7 +12,6 @@ from typing import Any
 from levkas.campaign.camera_kinds import KINDS, fields_of_others, keys_of_others
 from levkas.campaign.chart_names import CHARTS, kind_of_chart
 from levkas.campaign.discovery.patterns import Pattern
-from levkas.campaign.methods import DEFAULT_METHOD, METHODS, owners_of
 from levkas.campaign.schema.names import EXPECTED, why_unsafe
 from levkas.campaign.schema.tables import (
     OPTIONS,
@@ -28,6 +27,7 @@ from levkas.core.problems import LONGEST_NAME, MOST_COMPARED, Problem, closest_m
 from levkas.core.text import unusable_name, what_stands_at
 from levkas.readers.compared_facts import OVERRULED
 from levkas.readers.wavelengths import RANGE_NM, is_plausible
+from levkas.registration.methods import DEFAULT_METHOD, METHODS, owners_of
 
 MOST_LISTED = 20
 MOST_BY_ANGLE = 0.3

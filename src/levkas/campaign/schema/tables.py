@@ -17,7 +17,6 @@ from pydantic import (
 )
 
 from levkas.campaign.camera_kinds import KINDS, CameraKind, known_kind
-from levkas.campaign.methods import METHODS, UNUSABLE
 from levkas.campaign.schema.values import (
     Address,
     Align,
@@ -40,6 +39,7 @@ from levkas.campaign.schema.values import (
     Text,
     Whole,
 )
+from levkas.registration.methods import METHODS, UNUSABLE
 
 MOST_WAVELENGTHS = 100_000
 

@@ -1,7 +1,7 @@
 """Registration methods: a row each, with the options that campaign.toml takes for it.
 
 A row holds what a campaign has to know of a method, so that it can be checked without the registration
-itself; `levkas.registration` binds the functions of the built-in ones. An installed package adds a method by an
+itself; `levkas.registration.run` binds the functions of the built-in ones. An installed package adds a method by an
 entry point of the group `levkas.registration`: its name is the method's, and it loads a `Method`. What
 cannot be loaded is named in a warning; only campaigns that choose it are refused.
 """
@@ -18,9 +18,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
-
-from levkas.campaign.schema.values import Number, Whole
+from pydantic import BaseModel, ConfigDict, Field, Strict
 
 GROUP = "levkas.registration"
 DEFAULT_METHOD = "levkas"
@@ -41,8 +39,8 @@ class LevkasOptions(MethodOptions):
         The thresholds of the paper's method, which change nothing here.
     """
 
-    reject: Annotated[Number, Field(gt=0)] | None = None
-    stop: Annotated[Number, Field(gt=0)] | None = None
+    reject: Annotated[float, Strict(), Field(gt=0)] | None = None
+    stop: Annotated[float, Strict(), Field(gt=0)] | None = None
 
 
 class PaperOptions(MethodOptions):
@@ -60,10 +58,10 @@ class PaperOptions(MethodOptions):
         Keys of `features.DETECTORS` and `matching.MATCHERS`.
     """
 
-    reject: Annotated[Number, Field(gt=0)] | None = None
-    stop: Annotated[Number, Field(gt=0)] | None = None
-    ratio: Annotated[Number, Field(gt=0, le=1)] | None = None
-    order: Annotated[Whole, Field(ge=1, le=5)] | None = None
+    reject: Annotated[float, Strict(), Field(gt=0)] | None = None
+    stop: Annotated[float, Strict(), Field(gt=0)] | None = None
+    ratio: Annotated[float, Strict(), Field(gt=0, le=1)] | None = None
+    order: Annotated[int, Strict(), Field(ge=1, le=5)] | None = None
     detector: Literal["sift", "orb"] | None = None
     matching: Literal["mutual-ratio", "mutual", "ratio"] | None = None
 
@@ -78,7 +76,7 @@ class Method:
         Its keys in [registration]; every field has a default.
     register : callable, optional
         ``register(request, options)`` of a `levkas.registration.Request` returns a `Registration`. The
-        built-in methods' are bound in `levkas.registration`.
+        built-in methods' are bound in `levkas.registration.run`.
     ineffective : frozenset of str
         Options that are accepted and change nothing.
     per_sensor : bool
