@@ -349,7 +349,7 @@ def register_sensor(
         basis="windows",
         kept=int(initial.kept.sum()),
         key_points=len(initial.kept),
-        terms=found.selected.spec.coefficients if found.selected.spec else 3,
+        terms=found.selected.coefficients,
         held_out_px=found.selected.held_out_error,
         window_sigma_px=found.selected.window_sigma,
         fitted_windows=len(found.selected.weights),

@@ -1,21 +1,23 @@
-"""Models of the base map, and which of them is taken: blocked cross-validation.
+"""Models of the base map, and which of them is taken: held-out blocks, and the rule of one standard error.
 
 From a similarity to a cubic, with a lens, a spline and a step in depth. A model is fitted to the shifts of
 windows, each with its own 2 x 2 information, by re-weighted least squares. It is judged on spatial blocks
 that it was not fitted to ([roberts2017]_): neighbouring windows err alike, so that single windows left out
-are no independent evidence. A richer model is taken only where it predicts those blocks better.
+are no independent evidence. A richer model is taken only where it predicts those blocks better by more than the standard
+error of that gain, from block to block ([hastie2009]_, section 7.10).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
 from levkas.geometry.transforms import Transform, solve_2x2
-from levkas.registration.depth_step import ORDERS, DepthStep, find_depth_steps, fit_with_depth_step
+from levkas.registration.depth_step import DepthStep, find_depth_steps, fit_with_depth_step
 from levkas.registration.models import (
     Observations,
     fit_polynomial,
@@ -26,96 +28,49 @@ from levkas.registration.models import (
 )
 
 Fit = Callable[[Observations], Transform]
-Folds = list[tuple[np.ndarray, np.ndarray]]
-
-
-@dataclass(frozen=True)
-class SelectionSettings:
-    """Constants of the selection."""
-
-    rounds: int = 5
-    """Of re-weighting observations under the most yielding model."""
-    most_judged: int = 2000
-    """Observations on which models are compared; all of them determine the one that is taken."""
-    every: int = 3
-    """A fold is every so many-th row and column of blocks."""
-    blocks: int = 8
-    """Across the longer side."""
-    least_block: float = 3.0
-    """Side of a block, in lengths within which windows share pixels."""
-    gain: float = 0.01
-    """Share by which a richer model has to lower the held-out error."""
-    near: float = 0.1
-    far: float = 1.0
-    """`near`, `far`: models whose held-out error is up to so much, as a share, above the best may be right too: where
-    windows were measured, and where none were."""
-    least_spline: int = 150
-    least_depth_step: int = 120
-    """`least_spline`, `least_depth_step`: observations from which a spline, and a step in depth, are tried."""
-    stiffness: tuple[float, ...] = (1e-2, 1e-3)
-    """Prices of bending of the splines that are tried."""
-
-
-SETTINGS = SelectionSettings()
-POLYNOMIALS = {1: "affine", 2: "quadratic", 3: "cubic"}
-
-
-@dataclass(frozen=True)
-class ModelSpec:
-    """One model of a base map.
-
-    Examples
-    --------
-    >>> str(ModelSpec("homography", lens=True, spline=0.01))
-    'homography+lens+spline(0.01)'
-    """
-
-    family: str
-    order: int = 1
-    """Of a polynomial."""
-    lens: bool = False
-    """Brown's radial and tangential terms behind a homography."""
-    spline: float | None = None
-    """Price of bending of a smooth spline before the map."""
-    depth_step: bool = False
-    """A step in depth before the map."""
-
-    def __str__(self) -> str:
-        plain = POLYNOMIALS[self.order] if self.family == "polynomial" else self.family
-        parts = [plain] + ["lens"] * self.lens
-        parts += [] if self.spline is None else [f"spline({self.spline:g})"]
-        return "+".join(parts + ["depth_step"] * self.depth_step)
-
-    @property
-    def plain(self) -> ModelSpec:
-        """The model without spline and step in depth."""
-        return replace(self, spline=None, depth_step=False)
-
-    @property
-    def coefficients(self) -> int:
-        """Coefficients of x and y each, without spline and step in depth."""
-        return max(3, MODELS[self.plain][0] // 4)
-
-
-SIMILARITY, HOMOGRAPHY = ModelSpec("similarity"), ModelSpec("homography")
-AFFINE, QUADRATIC, CUBIC = (ModelSpec("polynomial", n) for n in POLYNOMIALS)
-LENS = ModelSpec("homography", lens=True)
-
-#: Model → (least number of observations, fit); from the stiffest to the most yielding.
-MODELS: dict[ModelSpec, tuple[int, Fit]] = {
-    SIMILARITY: (6, fit_similarity),
-    AFFINE: (9, partial(fit_polynomial, order=1)),
-    HOMOGRAPHY: (16, partial(fit_projective, lens=False)),
-    QUADRATIC: (24, partial(fit_polynomial, order=2)),
-    LENS: (36, partial(fit_projective, lens=True)),
-    CUBIC: (40, partial(fit_polynomial, order=3)),
-}
-#: Under which observations are weighted, where it is no model for itself: it follows much of a step in depth.
-QUINTIC: tuple[int, Fit] = (84, partial(fit_polynomial, order=5))
-#: Models that are tame where nothing was observed.
-STIFF = (SIMILARITY, AFFINE, HOMOGRAPHY, LENS)
-#: Name of a given map that no model improves.
+ROUNDS = 5
+"""Of re-weighting observations under the most yielding model."""
+MOST_JUDGED = 2000
+"""Observations on which models are compared; all of them determine the one that is taken."""
+EVERY, BLOCKS, LEAST_BLOCK = 3, 8, 3.0
+"""A fold is every so many-th row and column of blocks; blocks across the longer side; least side of a block, in lengths within which
+windows share pixels."""
+STANDARD_ERRORS = 1.0
+"""By which a richer model has to predict the blocks better."""
+NEAR, FAR = 0.1, 1.0
+"""Models whose held-out error is up to so much, as a share, above the best may be right too: where windows were measured, and where
+none were."""
+LEAST_SPLINE, LEAST_STEP = 150, 120
+"""Observations from which a spline, and a step in depth, are tried."""
+STIFFNESS = (1e-1, 1e-2)
+"""Prices of bending of the splines that are tried; with 1e-2 and 1e-3 maps of two simulations are 2 % worse, at worst 20 %."""
 STANDING = "as it was"
+"""Name of a given map that no model improves."""
+
+
+class Model(NamedTuple):
+    """One model of a base map: coefficients of x and y each, least number of observations, and fit."""
+
+    name: str
+    coefficients: int
+    least: int
+    fit: Fit
+    plain: Model | None = None
+    """The same without a step in depth, where it has one."""
+
+    def stepped(self) -> Model:
+        """Return the same with a step in depth."""
+        return self._replace(name=f"{self.name}+depth_step", plain=self)
+
+
+#: From the stiffest to the most yielding; under the quintic observations are weighted, so that no stiffer one declares its misfit outliers.
+LADDER = (
+    Model("similarity", 3, 6, fit_similarity),
+    Model("homography", 4, 16, partial(fit_projective, lens=False)),
+    Model("homography+lens", 9, 36, partial(fit_projective, lens=True)),
+    Model("cubic", 10, 40, partial(fit_polynomial, order=3)),
+)
+QUINTIC = Model("quintic", 21, 84, partial(fit_polynomial, order=5))
 
 
 @dataclass(frozen=True)
@@ -130,51 +85,38 @@ class SelectionTerms:
     """In reference px: side of the cells of the windows."""
     coarse: bool = False
     stiff: bool = False
-    """`coarse`, `stiff`: neither spline nor step in depth, which are for finer grids; only `STIFF` models."""
+    """`coarse`, `stiff`: neither spline nor step in depth, which are for finer grids; no cubic, which is wild where nothing was observed."""
     depth_step: bool = False
     """Whether a step in depth may be looked for."""
     fixed: int = 0
     """So many of the last observations keep their weight, whatever their residual."""
 
-    def models(self, count: int) -> list[ModelSpec]:
+    def models(self, count: int) -> list[Model]:
         """Return the plain models that `count` observations determine."""
-        tried = STIFF[: -1 if self.coarse else None] if self.stiff else tuple(MODELS)
-        return [model for model in tried if count >= MODELS[model][0]]
+        return [one for one in LADDER[: 3 if self.stiff else None] if count >= one.least]
 
     def yielding(self, count: int) -> Fit:
-        """Return the fit under which `count` observations are weighted: more yielding than any model, so that none declares its misfit outliers."""
-        least, fit = QUINTIC
-        return (
-            fit
-            if count >= least and not (self.coarse or self.stiff)
-            else MODELS[self.models(count)[-1]][1]
-        )
+        """Return the fit under which `count` observations are weighted."""
+        plain = count < QUINTIC.least or self.coarse or self.stiff
+        return (self.models(count)[-1] if plain else QUINTIC).fit
 
 
-@dataclass(frozen=True)
-class FoldFit:
-    """Model fitted without the blocks of a fold, and the share of all information that these hold."""
+class FoldFit(NamedTuple):
+    """The selected model fitted without the blocks of a fold, and the share of all information that these hold."""
 
     transform: Transform
     without: float
-    fold: int = 0
-
-
-@dataclass(frozen=True)
-class AlternativeModel:
-    """Model whose held-out error comes close to that of the selected one, and how close, 0..1."""
-
-    transform: Transform
-    weight: float
+    fold: int
 
 
 @dataclass(frozen=True)
 class SelectedModel:
     """Selected model, and the held-out errors of all."""
 
-    spec: ModelSpec | None
-    """None where a given map stayed as it was."""
+    name: str
     transform: Transform
+    coefficients: int
+    """Of x and y each, without spline and step in depth."""
     scores: dict[str, float]
     """Held-out error of each model by name: root mean square in reference px under the weights."""
     observations: Observations
@@ -182,19 +124,8 @@ class SelectedModel:
     weights: np.ndarray
     """(n,). Robust weight of each observation, 0..1."""
     terms: SelectionTerms
-    folds: tuple[FoldFit, ...] = ()
-    """The same model fitted without each fold of blocks."""
-    alternatives: tuple[AlternativeModel, ...] = ()
-    """Models that predict blocks nearly as well."""
-    fit: Fit | None = None
-    """How it was fitted."""
-    far_alternatives: Callable[[], tuple[AlternativeModel, ...]] = tuple
-    """Returns the models that predict blocks at most twice as badly: where nothing was measured they may be as right."""
-
-    @property
-    def name(self) -> str:
-        """Name of the model in the record."""
-        return STANDING if self.spec is None else str(self.spec)
+    comparison: ModelComparison | None = field(default=None, repr=False)
+    """None where a given map stayed as it was, and on coarse grids."""
 
     @property
     def held_out_error(self) -> float:
@@ -212,15 +143,19 @@ class SelectedModel:
         known = np.trace(self.observations.information, axis1=1, axis2=2) / 2
         return float(np.median(known[known > 0]) ** -0.5) if (known > 0).any() else None
 
+    @cached_property
+    def folds(self) -> tuple[FoldFit, ...]:
+        """The model fitted without each fold of blocks."""
+        return self.comparison.fold_fits() if self.comparison else ()
+
     def held_out(self) -> np.ndarray:
         """Return how far each window, (n,), reference px, lies from a fit without its block; NaN without one."""
         missed = np.full(len(self.observations), np.nan)
-        if self.folds:
-            folds = spatial_folds(self.observations.points, self.terms.apart)
-            for one in self.folds:
-                left_out = folds[one.fold][0]
-                left = self.observations.part(left_out).residuals(one.transform)
-                missed[left_out] = np.hypot(*left.T)
+        numbers, _ = spatial_folds(self.observations.points, self.terms.apart)
+        for one in self.folds:
+            left_out = numbers == one.fold
+            left = self.observations.part(left_out).residuals(one.transform)
+            missed[left_out] = np.hypot(*left.T)
         return missed
 
     def sigma(self, points: np.ndarray) -> np.ndarray:
@@ -238,82 +173,67 @@ class SelectedModel:
         for one in self.folds:
             moved = solve_2x2(jacobian, one.transform(points) - here)
             total += (1 - one.without) / one.without * (moved**2).sum(1) / 2
-        return np.sqrt(total / len(self.folds) + self._spread(points, self.alternatives))
+        return np.sqrt(total / len(self.folds) + self._spread(points, NEAR))
 
     def sigma_beyond(self, points: np.ndarray) -> np.ndarray:
         """Return the spread, (n,) reference px, of models that may be right beyond what was measured."""
-        return np.sqrt(self._spread(points, self.far_alternatives()))
+        return np.sqrt(self._spread(points, FAR))
 
-    def _spread(self, points: np.ndarray, models: Sequence[AlternativeModel]) -> np.ndarray:
+    def _spread(self, points: np.ndarray, near: float) -> np.ndarray:
         """Return the variance, of either axis, of other models about this one, each by its weight."""
+        models = self.comparison.alternatives(near) if self.comparison else ()
         jacobian, here = self.transform.jacobian(points), self.transform(points)
-        weights = 1 + sum(model.weight for model in models)
+        weights = 1 + sum(weight for _, weight in models)
         variance = np.zeros(len(points))
-        for model in models:
-            apart = solve_2x2(jacobian, model.transform(points) - here)
-            variance += model.weight / weights * (apart**2).sum(1) / 2
+        for transform, weight in models:
+            apart = solve_2x2(jacobian, transform(points) - here)
+            variance += weight / weights * (apart**2).sum(1) / 2
         return variance
 
 
 def select_model(
     observations: Observations, terms: SelectionTerms, *, standing: Transform | None = None
 ) -> SelectedModel:
-    """Return the model that predicts held-out blocks best.
+    """Return the plainest model that predicts held-out blocks as well as any; a `standing` map from elsewhere where none is better.
 
-    Raises ValueError with fewer observations than a similarity needs.
-
-    Parameters
-    ----------
-    observations : Observations
-        At least 6 of them.
-    standing : Transform, optional
-        A map from elsewhere; it stays where no model predicts blocks better.
+    Raises ValueError with fewer observations than a similarity needs, 6.
     """
-    models = terms.models(len(observations))
+    count = len(observations)
+    models = terms.models(count)
     if not models:
-        raise ValueError(f"a similarity needs at least 6 windows, got {len(observations)}")
-    weighted, weights = _reweight(observations, terms.yielding(len(observations)), terms.fixed)
+        raise ValueError(f"a similarity needs at least 6 windows, got {count}")
+    weighted, weights = _reweight(observations, terms.yielding(count), terms.fixed)
     # Which model is right shows in some thousands of windows; all of them decide how it lies.
-    every = 1 + len(weighted) // SETTINGS.most_judged
-    judged = weighted.part(np.arange(len(weighted)) % every == 0)
-    comparison = ModelComparison(judged, spatial_folds(judged.points, terms.apart, weighted.points))
+    every = 1 + count // MOST_JUDGED
+    judged = weighted.part(np.arange(count) % every == 0)
+    comparison = ModelComparison(judged, terms.apart, weighted.points)
     for model in models:
-        least, fit = MODELS[model]
-        comparison.add(model, least, fit)
+        comparison.add(model, [model.fit])
     if standing is not None and comparison.is_withstood_by(standing):
-        return SelectedModel(None, standing, comparison.scores, weighted, weights, terms)
-    bends = not (terms.coarse or terms.stiff) and len(observations) >= SETTINGS.least_spline
-    if bends:
-        steps: list[DepthStep] = []
-        if terms.depth_step and len(observations) >= SETTINGS.least_depth_step:
-            steps = find_depth_steps(weighted, terms.cell)
-        _add_bending(comparison, comparison.best, terms.spacing, steps)
-    best = comparison.best
+        return SelectedModel(STANDING, standing, 3, comparison.scores, weighted, weights, terms)
+    if not (terms.coarse or terms.stiff) and count >= LEAST_SPLINE:
+        _add_bending(comparison, weighted, terms)
+    best = comparison.best.model
     return SelectedModel(
-        best.spec, best.fit(weighted), comparison.scores, weighted, weights, terms,
-        () if terms.coarse else comparison.fold_fits(),
-        () if terms.coarse else comparison.alternatives(SETTINGS.near),
-        best.fit, partial(comparison.alternatives, SETTINGS.far),
+        best.name, best.fit(weighted), best.coefficients, comparison.scores, weighted, weights, terms,
+        None if terms.coarse else comparison,
     )  # fmt: skip
 
 
 def scattered_information(observations: Observations, terms: SelectionTerms) -> float:
     """Return the `total_information` of the model that would be selected: it is the same for all of them."""
-    fit = terms.yielding(len(observations))
-    return _total(_reweight(observations, fit, terms.fixed)[0])
+    return _total(_reweight(observations, terms.yielding(len(observations)), terms.fixed)[0])
 
 
 def _total(observations: Observations) -> float:
     return float(np.trace(observations.information, axis1=1, axis2=2).sum())
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """One model in a comparison: its least number of observations, its fit and its held-out error."""
+class Candidate(NamedTuple):
+    """One model in a comparison, and the weighted squares that it misses in each observation of a block left out."""
 
-    spec: ModelSpec
-    least: int
-    fit: Fit
+    model: Model
+    missed: np.ndarray
     score: float
 
 
@@ -322,106 +242,115 @@ class ModelComparison:
 
     best: Candidate
 
-    def __init__(self, judged: Observations, folds: Folds) -> None:
-        self._judged, self._folds = judged, folds
-        self._parts = [(judged.part(left_out), judged.part(rest)) for left_out, rest in folds]
-        self.candidates: dict[ModelSpec, Candidate] = {}
-        self.scores: dict[str, float] = {}
+    def __init__(self, judged: Observations, apart: float, over: np.ndarray) -> None:
+        self._judged = judged
+        self._folds, self._blocks = spatial_folds(judged.points, apart, over)
+        near = _near_folds(judged.points, apart, over)
+        self._rest = [judged.part((near != fold).all(0)) for fold in range(EVERY**2)]
+        self._information = np.trace(judged.information, axis1=1, axis2=2)
+        self.candidates: list[Candidate] = []
 
-    def add(self, spec: ModelSpec, least: int, *fits: Fit) -> Candidate:
-        """Try one more model, richer than those before; of several ways to fit it the best is used."""
-        # The best is wanted again without each fold, and so is what lies under a spline; others with all folds.
-        fits = tuple(map(lru_cache(1 + SETTINGS.every**2), fits))
-        tried = [Candidate(spec, least, fit, self._held_out_error(least, fit)) for fit in fits]
+    @property
+    def scores(self) -> dict[str, float]:
+        """Held-out error of each model by name."""
+        return {one.model.name: one.score for one in self.candidates}
+
+    def add(self, model: Model, fits: Sequence[Fit]) -> None:
+        """Try one more model, richer than those before, and take it where it is better by more than the standard error of that.
+
+        Of several `fits`, the one is used that predicts blocks best.
+        """
+        tried = [self._try(model._replace(fit=fit)) for fit in fits]
+        if not tried:
+            return
         found = min(tried, key=lambda one: one.score)
-        if not self.candidates or found.score < self.best.score * (1 - SETTINGS.gain):
+        if not self.candidates or self._gain(self.best.missed, found.missed) > STANDARD_ERRORS:
             self.best = found
-        self.candidates[spec], self.scores[str(spec)] = found, found.score
-        return found
+        self.candidates.append(found)
 
-    def _held_out_error(self, least: int, fit: Fit) -> float:
-        """Return the error in blocks that were not fitted; infinite where too little is left to fit."""
-        total = weight = 0.0
-        for left_out, rest in self._parts:
-            if not len(left_out):
-                continue
-            if len(rest) < least:
-                return np.inf
-            squares, information = _misfit(left_out, fit(rest))
-            total, weight = total + squares, weight + information / 2
-        return float(np.sqrt(total / (2 * weight))) if weight else np.inf
+    def _try(self, model: Model) -> Candidate:
+        # What lies under a spline is wanted again, with all folds.
+        model = model._replace(fit=lru_cache(2 + EVERY**2)(model.fit))
+        missed = np.full(len(self._judged), np.inf)
+        if all(len(rest) >= model.least for rest in self._rest):
+            for fold, rest in enumerate(self._rest):
+                here = self._folds == fold
+                if here.any():
+                    missed[here] = _squares(self._judged.part(here), model.fit(rest))
+        return Candidate(model, missed, self._error(missed))
+
+    def _error(self, missed: np.ndarray) -> float:
+        total = float(self._information.sum())
+        return float(np.sqrt(missed.sum() / total)) if total else np.inf
+
+    def _gain(self, before: np.ndarray, after: np.ndarray) -> float:
+        """Return by how many standard errors, from block to block, one model misses less than another."""
+        if not np.isfinite(after).all():
+            return -np.inf
+        if not np.isfinite(before).all():
+            return np.inf
+        gains = np.bincount(self._blocks, before - after)
+        gains = gains[np.bincount(self._blocks) > 0]
+        error = float(np.sqrt(len(gains)) * gains.std(ddof=1)) if len(gains) > 1 else 0.0
+        return float(gains.sum()) / max(error, 1e-300)
 
     def is_withstood_by(self, standing: Transform) -> bool:
         """Return whether a given map, which was not fitted to these observations, predicts them as well as the best model."""
-        squares, information = _misfit(self._judged, standing)
-        self.scores[STANDING] = float(np.sqrt(squares / information))
-        return not self.best.score < self.scores[STANDING] * (1 - SETTINGS.gain)
+        missed = _squares(self._judged, standing)
+        self.candidates.append(
+            Candidate(Model(STANDING, 3, 0, lambda _: standing), missed, self._error(missed))
+        )
+        return not self._gain(missed, self.best.missed) > STANDARD_ERRORS
 
     def fold_fits(self) -> tuple[FoldFit, ...]:
         """Return the best model fitted without each fold, and the share of information left out."""
-        information = np.trace(self._judged.information, axis1=1, axis2=2)
-        return tuple(
-            FoldFit(
-                self.best.fit(self._parts[fold][1]),
-                float(information[~rest].sum() / information.sum()),
-                fold,
-            )
-            for fold, (left_out, rest) in enumerate(self._folds)
-            if left_out.any() and rest.sum() >= 6
-        )
+        total, found = self._information.sum(), []
+        for fold, rest in enumerate(self._rest):
+            if (self._folds == fold).any() and len(rest) >= 6:
+                left = 1 - np.trace(rest.information, axis1=1, axis2=2).sum() / total
+                found.append(FoldFit(self.best.model.fit(rest), float(left), fold))
+        return tuple(found)
 
-    def alternatives(self, near: float) -> tuple[AlternativeModel, ...]:
-        """Return the models that come within `near` of the best, as a share of its held-out error."""
+    def alternatives(self, near: float) -> list[tuple[Transform, float]]:
+        """Return the models that come within `near` of the best, as a share of its held-out error, each with its weight, 0..1."""
         if not self.best.score:
-            return ()
-        close = [
-            (1 - (one.score / self.best.score - 1) / near, one)
-            for one in self.candidates.values()
-            if one.spec != self.best.spec
-        ]
-        return tuple(
-            AlternativeModel(one.fit(self._judged), min(weight, 1.0))
-            for weight, one in close
-            if weight > 0
-        )
+            return []
+        others = [one for one in self.candidates if one.model.name != self.best.model.name]
+        close = [(one, 1 - (one.score / self.best.score - 1) / near) for one in others]
+        return [(one.model.fit(self._judged), min(w, 1.0)) for one, w in close if w > 0]
 
 
-def _misfit(observations: Observations, model: Transform) -> tuple[float, float]:
-    """Return the weighted squares of what a map misses, and the trace of all information."""
-    x, y = observations.residuals(model).T
-    p, q, r = (observations.information[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
-    return float((p * x * x + 2 * q * x * y + r * y * y).sum()), float((p + r).sum())
+def _squares(observations: Observations, model: Transform) -> np.ndarray:
+    """Return the weighted squares, (n,), of what a map misses."""
+    missed = observations.residuals(model)
+    return np.einsum("na,nab,nb->n", missed, observations.information, missed)
 
 
 def _add_bending(
-    comparison: ModelComparison, under: Candidate, spacing: float, steps: Sequence[DepthStep]
+    comparison: ModelComparison, weighted: Observations, terms: SelectionTerms
 ) -> None:
-    """Try a model with splines of falling stiffness, then the best and plain ones with a step in depth."""
-    bent = [under]
-    for price in SETTINGS.stiffness:
-        fit = partial(_fit_spline_before, under=under.fit, spacing=spacing, price=price)
-        bent.append(comparison.add(replace(under.spec, spline=price), under.least, fit))
-    specs = [one.spec for one in bent]
-    best = comparison.best
-    if best.spec not in specs:
-        best = min(bent, key=lambda one: one.score)
-    # Without its term richer models were needed than with it.
-    plain = [comparison.candidates[m] for m in (LENS, CUBIC) if m in comparison.candidates]
-    for one in dict.fromkeys([*plain, *bent[:2], best]):
-        if steps:
-            fits = [_with_depth_step(one, step) for step in steps]
-            comparison.add(replace(one.spec, depth_step=True), one.least, *fits)
+    """Try plain models with a step in depth, then the best of all with splines of falling stiffness, then these with a step."""
+    steps = []
+    if terms.depth_step and len(weighted) >= LEAST_STEP:
+        steps = find_depth_steps(weighted, terms.cell)
+    for model in [one.model for one in comparison.candidates[-2:]]:
+        comparison.add(model.stepped(), [_beside(step, model.fit) for step in steps])
+    best = comparison.best.model
+    under = best.plain or best
+    for price in STIFFNESS:
+        model = under._replace(name=f"{under.name}+spline({price:g})")
+        fit = partial(_fit_bent, under=under.fit, spacing=terms.spacing, price=price)
+        if best.plain is None:
+            comparison.add(model, [fit])
+        else:
+            comparison.add(model.stepped(), [_beside(step, fit) for step in steps])
 
 
-def _with_depth_step(model: Candidate, step: DepthStep) -> Fit:
-    """Return the fit of a model with a step in depth, which is displaced freely."""
-    order = ORDERS[0] if model.spec in (LENS, CUBIC) else ORDERS[-1]
-    return partial(fit_with_depth_step, step=step, fit=model.fit, order=order)
+def _beside(step: DepthStep, fit: Fit) -> Fit:
+    return partial(fit_with_depth_step, step=step, fit=fit)
 
 
-def _fit_spline_before(
-    observations: Observations, *, under: Fit, spacing: float, price: float
-) -> Transform:
+def _fit_bent(observations: Observations, *, under: Fit, spacing: float, price: float) -> Transform:
     return fit_spline(observations, under(observations), spacing, price)
 
 
@@ -429,7 +358,7 @@ def _reweight(observations: Observations, fit: Fit, fixed: int) -> tuple[Observa
     """Re-weight under the most yielding model, so that no stiffer one declares its misfit outliers."""
     current, weights = observations, np.ones(len(observations))
     model = fit(current)
-    for _ in range(SETTINGS.rounds):
+    for _ in range(ROUNDS):
         residuals = observations.residuals(model)
         information, weights = scale_covariance(residuals, observations.information)
         weights[len(weights) - fixed :] = 1.0
@@ -438,26 +367,30 @@ def _reweight(observations: Observations, fit: Fit, fixed: int) -> tuple[Observa
     return current, weights
 
 
-def spatial_folds(points: np.ndarray, apart: float = 0.0, over: np.ndarray | None = None) -> Folds:
-    """Return (held out, fitted), masks (n,), of every fold of blocks over all of `over`, `points` without it.
-
-    Windows within `apart` of a held-out block are neither: they share pixels with what they would
-    predict.
-    """
-    over = points if over is None else over
-    low, high = over.min(0), over.max(0)
-    most = float((high - low).max()) / SETTINGS.blocks
-    size = max(most, SETTINGS.least_block * apart, 1e-9)
-    number = _fold_numbers(points - low, size)
-    near = np.stack([_fold_numbers(points - low + shift, size) for shift in _around(apart)])
-    return [(number == fold, (near != fold).all(0)) for fold in range(SETTINGS.every**2)]
+def spatial_folds(
+    points: np.ndarray, apart: float = 0.0, over: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the number of the fold and of the block of each point, (n,), of blocks over all of `over`, `points` without it."""
+    low, size = _lattice(points if over is None else over, apart)
+    block = np.floor((points - low) / size).astype(int)
+    return _fold_of(block), block[:, 0] - block[:, 0].min() + 1000 * (
+        block[:, 1] - block[:, 1].min()
+    )
 
 
-def _around(apart: float) -> np.ndarray:
+def _near_folds(points: np.ndarray, apart: float, over: np.ndarray) -> np.ndarray:
+    """Return the folds, (9, n), to which windows within `apart` of each point belong: they share pixels with it."""
+    low, size = _lattice(over, apart)
     steps = np.array([-apart, 0.0, apart])
-    return np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    around = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    return np.stack([_fold_of(np.floor((points - low + a) / size).astype(int)) for a in around])
 
 
-def _fold_numbers(offsets: np.ndarray, size: float) -> np.ndarray:
-    block = np.floor(offsets / size).astype(int) % SETTINGS.every
-    return np.asarray(block[:, 0] + SETTINGS.every * block[:, 1])
+def _lattice(over: np.ndarray, apart: float) -> tuple[np.ndarray, float]:
+    """Return where blocks begin, and their side."""
+    low, high = over.min(0), over.max(0)
+    return low, max(float((high - low).max()) / BLOCKS, LEAST_BLOCK * apart, 1e-9)
+
+
+def _fold_of(block: np.ndarray) -> np.ndarray:
+    return np.asarray(block[:, 0] % EVERY + EVERY * (block[:, 1] % EVERY))
