@@ -94,7 +94,7 @@ def _basis_caption(sensor: Mapping[str, Any], sound: bool) -> str:
         return caption
     return (
         f"{caption} Right: check windows of {sensor['band']}, searched up to 12 px around. Blue: they agree with the "
-        "map. Red: they lie elsewhere. Hollow: they were not found. Parts without blue windows are not confirmed."
+        "map. Red: they fit elsewhere, better than noise explains. Hollow: they say neither. Parts without blue windows are not confirmed."
     )
 
 
@@ -150,9 +150,9 @@ def _basis(sensor: Mapping[str, Any], size: Sequence[int]) -> str:
 
 
 def _draw_checks(axes: Axes, checks: CheckWindows, size: Sequence[int]) -> None:
-    good = checks.confirmed
+    good, wrong = checks.confirmed, checks.contradicting
     for mask, face, edge in (
-        (good, "tgt", "tgt"), (checks.found & ~good, "ref", "ref"), (~checks.found, None, "soft"),
+        (good, "tgt", "tgt"), (wrong, "ref", "ref"), (~(good | wrong), None, "soft"),
     ):  # fmt: skip
         axes.scatter(
             checks.centres[mask, 0], checks.centres[mask, 1], s=14, linewidths=0.8, edgecolors=themed(edge),

@@ -19,10 +19,9 @@ from levkas.geometry.spline import SplineShift, spline_weights
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from levkas.registration.line_course import LineShifts
-    from levkas.registration.line_displacement import LineDisplacement
+    from levkas.registration.line_displacement import LineDisplacement, LineShifts
 
-SPACINGS = (512, 256, 128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1)
+SPACINGS = (512, 256, 128, 64, 32, 16, 8, 4, 3, 2, 1)
 """Of knots, lines apart: at 1 every line lies by itself."""
 CLOSEST = (1, 3)
 """Of them, along and across the lines: between lines that stand at odd distances nothing can be interpolated."""
@@ -141,34 +140,19 @@ class LineCorrection:
 
 
 def find_correction(found: LineDisplacement, scale: float) -> LineCorrection | None:
-    """Return the correction of displaced lines of a target picture.
+    """Return the correction of displaced lines of a picture of which `scale` px make a reference px.
 
-    Parameters
-    ----------
-    found : LineDisplacement
-        Parts of every line, an eighth to three eighths of it each, beside the smooth map nearest to the map of the picture.
-    scale : float
-        Px of the picture per reference px.
-
-    Returns
-    -------
-    correction : LineCorrection or None
-        None where no spline predicts parts that were left out, where nothing of the target is displaced, or where lines
-        would change their order.
+    None where no spline predicts parts that were left out, or where lines would change their order.
     """
-    if found.parts is None:
-        return None
-    shift, slope = np.zeros_like(found.displacement), np.zeros_like(found.displacement)
-    errors, spacings = [], []
+    course = {False: np.zeros_like(found.displacement), True: np.zeros_like(found.displacement)}
+    errors, spacings = [], [np.inf]
     for of_ends in found.of_ends:
-        course, error, spacing = _choose(found.parts.slopes() if of_ends else found.parts)
+        shifts = found.parts.slopes() if of_ends else found.parts
+        course[of_ends], error, spacing = _choose(shifts)
         spacings.append(spacing)
         errors.append(error)
-        shift, slope = (shift, course) if of_ends else (course, slope)
-    spacing = min(spacings, default=np.inf)
-    if not np.isfinite(spacing):
-        return None
-    if np.diff(shift[:, 1]).min() < NEAREST - 1:
+    shift, slope, spacing = course[False], course[True], min(spacings)
+    if not np.isfinite(spacing) or np.diff(shift[:, 1]).min() < NEAREST - 1:
         return None
     error = float(np.linalg.norm(errors))
     return LineCorrection(found.lines, shift, slope, found.parts.ends, spacing, error, scale, found)

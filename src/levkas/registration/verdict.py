@@ -68,10 +68,11 @@ class Evidence:
     windows: int
     found: int
     agreeing: int
-    """`windows`, `found`, `agreeing`: check windows, those that are recognised beyond chance, and those of these within twice the
-    `tolerance` of where the map puts them."""
+    contradicting: int
+    """`windows`, `found`, `agreeing`, `contradicting`: check windows, those that are recognised beyond chance, those of these within
+    twice the `tolerance` of where the map puts them, and those that fit elsewhere better than their own noise explains."""
     window_median: float
-    """How far the found ones are off, infinite without any."""
+    """How far the last two are off, infinite without any."""
     second_peak_ratio: float
     """Correlation of the pictures at the best place elsewhere, relative to here."""
     box: tuple[float, ...]
@@ -131,6 +132,11 @@ class Evidence:
     def confirmed(self) -> float:
         """Share of the layer where windows or matches confirm the map."""
         return self.seen * min(self.checked, max(self.coverage, 0.0))
+
+    @property
+    def telling(self) -> int:
+        """Check windows that agree with the map or contradict it; others say nothing."""
+        return self.agreeing + self.contradicting
 
     @property
     def seen(self) -> float:
@@ -241,16 +247,16 @@ def _held_out(e: Evidence) -> float:
 
 def _few_found(e: Evidence) -> float:
     """Return 1 where too few windows are found, 0.5 where many matches make up for that."""
-    if e.found >= max(LEAST_FOUND, LEAST_FOUND_SHARE * e.windows):
+    if e.telling >= max(LEAST_FOUND, LEAST_FOUND_SHARE * e.windows):
         return 0.0
     return 0.5 if e.kept >= SURE_MATCHES * e.terms else 1.0
 
 
 def _disagreeing(e: Evidence) -> float:
-    """Return the share of the found windows that do not agree, 1 where their median error exceeds the tolerance."""
+    """Return the share of the telling windows that contradict the map, 1 where their median error exceeds the tolerance."""
     if _few_found(e):
         return 0.0
-    return 1.0 if e.window_median > e.tolerance else 1 - e.agreeing / max(e.found, 1)
+    return 1.0 if e.window_median > e.tolerance else e.contradicting / max(e.telling, 1)
 
 
 def _extrapolated(e: Evidence) -> str:
@@ -313,11 +319,11 @@ RULES = (
     ),
     Rule(
         "found", _few_found, inf, 0.4, 0.9,
-        lambda e: f"Only {e.found} of {e.windows} check windows were found: too few to check the map.", lacks_evidence=True,
+        lambda e: f"Only {e.telling} of {e.windows} check windows were found: too few to check the map.", lacks_evidence=True,
     ),
     Rule(
         "agree", _disagreeing, inf, inf, 0.4,
-        lambda e: f"Only {e.agreeing} of the {e.found} check windows that were found agree with the map; the median error is {e.window_median:.1f} px.",
+        lambda e: f"Only {e.agreeing} check windows agree with the map, {e.contradicting} contradict it; the median error is {e.window_median:.1f} px.",
     ),
     Rule(
         "elsewhere", lambda e: e.second_peak_ratio, inf, 0.85, 0.95,
@@ -465,6 +471,6 @@ def _describe_pairs(placed: Mapping[str, Any]) -> str:
 
 def _praise(e: Evidence) -> str:
     return (
-        f"{e.agreeing} of the {e.found} check windows that were found agree with the map. The held-out error is "
+        f"{e.agreeing} check windows agree with the map, {e.contradicting} contradict it. The held-out error is "
         f"{e.held_out_px:.2f} px over the {percent(e.confirmed)} of the layer that was checked."
     )

@@ -143,7 +143,7 @@ def verify(
     far, outline = search.step * step, corners_of(mask)
     checks = CheckWindows(
         (search.centres + 0.5) * step - 0.5, search.shift * step, search.found, max(1.0, far), WINDOWS.window * far,
-        predicted_at, cell, outline if len(outline) > 2 else None,
+        predicted_at, cell, outline if len(outline) > 2 else None, search.against,
     )  # fmt: skip
     overlap = Overlap(transform, mask, valid, box_of(mask))
     # A cell is confirmed by the windows there, not by one key point that agrees.
@@ -307,8 +307,9 @@ def measure_windows(
     home = _cell_of(checks.centres, box)
     structured = np.bincount(home, minlength=count) > 0
     agreeing, off = np.zeros(count, bool), np.zeros(count, bool)
-    for cell in np.unique(home[checks.found]):
-        here = checks.shift[checks.found & (home == cell)]
+    telling = checks.confirmed | checks.contradicting
+    for cell in np.unique(home[telling]):
+        here = checks.shift[telling & (home == cell)]
         middle = np.median(here, 0)
         # Windows that are found in wrong places scatter; a map that is off moves them alike.
         alike = (np.hypot(*(here - middle).T) <= checks.tolerance).mean() >= 0.5
@@ -322,13 +323,14 @@ def measure_windows(
         corners = centres[mask] + 0.5 - size / 2
         return [[round(float(v), 1) for v in (*corner, *size)] for corner in corners]
 
-    distance = np.hypot(*checks.shift[checks.found].T)
+    distance = np.hypot(*checks.shift[telling].T)
     return {
         "box": box,
         "tolerance": checks.tolerance,
         "windows": len(checks.found),
-        "found": len(distance),
+        "found": int(checks.found.sum()),
         "agreeing": int(checks.confirmed.sum()),
+        "contradicting": int(checks.contradicting.sum()),
         "window_median": float(np.median(distance)) if len(distance) else np.inf,
         "coverage": float(support[judged].mean()) if judged.any() else 0.0,
         "off_share": float(off[judged].mean()) if judged.any() else 0.0,

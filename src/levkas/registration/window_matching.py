@@ -52,6 +52,10 @@ class WindowSettings:
 
 
 SETTINGS = WindowSettings()
+AGREES = 2.0
+"""In px: a window that is found so near to its place agrees with the map."""
+AGAINST = 10.0
+"""Twice the logarithm of the likelihood of another place over that of the map's, from which a window contradicts the map."""
 LEAST_CHANCES = 20
 """Unrelated windows by which chance is measured."""
 
@@ -65,6 +69,8 @@ class WindowSearch:
     """`centres`, `shift`: (n, 2), reference px: middle, and from where the map puts the window to where it is found."""
     peak: np.ndarray
     """(n,), 0..1. Correlation there, whatever its sign."""
+    against: np.ndarray
+    """(n,). By how much likelier the window lies there than where the map puts it: twice the logarithm of the ratio of likelihoods."""
     chance: float
     """The peak that 1 % of unrelated windows reach."""
     second_peak_ratio: float
@@ -106,6 +112,14 @@ class CheckWindows:
     """In reference px: how far apart those are."""
     outline: np.ndarray | None = None
     """(k, 2), reference px. Corners of the object: places beside it are as far as the nearest of its own."""
+    against: np.ndarray | None = None
+    """(n,). As of `WindowSearch`; without it all that lie elsewhere contradict the map."""
+
+    @property
+    def contradicting(self) -> np.ndarray:
+        """Mask of the windows that are found elsewhere, and fit there better than their own noise explains, (n,) bool."""
+        elsewhere = self.found & ~self.confirmed
+        return elsewhere if self.against is None else elsewhere & (self.against > AGAINST)
 
     @property
     def confirmed(self) -> np.ndarray:
@@ -141,6 +155,7 @@ class CheckWindows:
             "predicted": [] if self.predicted is None else np.round(self.predicted, 1).tolist(),
             "cell": self.cell,
             "outline": None if self.outline is None else np.round(self.outline, 2).tolist(),
+            "against": None if self.against is None else np.round(self.against, 1).tolist(),
         }
 
     @classmethod
@@ -154,7 +169,10 @@ class CheckWindows:
             float(record["side"]),
             np.array(record["predicted"], float).reshape(-1, 2),
             float(record["cell"]),
-            None if record["outline"] is None else np.array(record["outline"], float),
+            *(
+                None if record[key] is None else np.array(record[key], float)
+                for key in ("outline", "against")
+            ),
         )
 
 
@@ -186,14 +204,14 @@ def search_windows(
         shown = ours_valid & warped_valid
     a, b = _weighted([one for one, _ in details], [other for _, other in details])
     places = _places(shown, a, b)
-    peak, shift = _search(a, b, places)
+    peak, shift, against = _search(a, b, places)
     chance = _chance(a, b, places)
     # Where some pigments invert, detail cancels itself out, its strength does not.
     strengths = [np.stack([_strength(one) for one in stack]) for stack in (a, b)]
     second_peak_ratio = min(each(_second_peak_ratio, (a, strengths[0]), (b, strengths[1])))
     centres = back(places + (SETTINGS.window - 1) / 2)
     scale = float(back.matrix[0, 0])
-    return WindowSearch(centres, shift * scale, peak, chance, second_peak_ratio, scale)
+    return WindowSearch(centres, shift * scale, peak, against, chance, second_peak_ratio, scale)
 
 
 def _weighted(a: list[np.ndarray], b: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -273,16 +291,26 @@ def _correlations(a: np.ndarray, b: np.ndarray, at: np.ndarray, near: np.ndarray
     return full
 
 
-def _search(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (peak, shift) of every window."""
-    peak, shift = np.zeros(len(places)), np.zeros((len(places), 2))
+def _search(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return peak, shift and `against` of every window.
+
+    What a window correlates with by chance, away from its peak, is its own noise: of n independent values a correlation r by chance has
+    the variance 1/n, and residuals of a fit with r have a likelihood of (1 − r²)^(−n/2).
+    """
+    peak, shift, against = np.zeros(len(places)), np.zeros((len(places), 2)), np.zeros(len(places))
+    y, x = np.mgrid[-SETTINGS.reach : SETTINGS.reach + 1, -SETTINGS.reach : SETTINGS.reach + 1]
+    here = np.hypot(x, y) <= AGREES
     for i, place in enumerate(places):
         scores = _correlations(a, b, place, place)
         row, column = (int(k) for k in np.unravel_index(int(scores.argmax()), scores.shape))
         peak[i] = scores[row, column]
         offset = peak_offset(scores[row], column), peak_offset(scores[:, column], row)
         shift[i] = np.array([column, row]) - SETTINGS.reach + offset
-    return peak, shift
+        away = np.hypot(x - x[row, column], y - y[row, column]) > SETTINGS.apart
+        chance = max(float(np.mean(np.square(scores[away & (scores > 0)]))), 1e-4)
+        squares = np.square([scores[here].max(), peak[i]])
+        against[i] = -np.diff(np.log1p(-np.minimum(squares, 0.9999)))[0] / chance
+    return peak, shift, against
 
 
 def peak_offset(line: np.ndarray, k: int) -> float:
