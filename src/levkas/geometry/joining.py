@@ -15,6 +15,7 @@ import numpy as np
 
 from levkas.core.cube import UNRELIABLE
 from levkas.core.flags import Flag
+from levkas.geometry.resample import Warped
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
@@ -36,27 +37,19 @@ WITHIN = 2.0
 
 
 def box_on_grid(transform: Transform, size: tuple[int, int], grid: tuple[int, int]) -> Box | None:
-    """Return which pixels of a grid a frame may cover; None where it covers none.
+    """Return which pixels of a grid a frame may cover, by `transform`, grid px → px of the frame; None where it covers none.
 
-    Parameters
-    ----------
-    transform : Transform
-        Grid px → px of the frame.
-    size, grid : (width, height)
-        Of the frame and of the grid.
+    `size` and `grid` are (width, height) of the frame and of the grid.
 
-    Examples
-    --------
     >>> from levkas.geometry.transforms import Affine
     >>> box_on_grid(Affine(np.array([[1.0, 0, -20], [0, 1, 5]])), (30, 20), (100, 100))
     (19, 0, 51, 16)
     """
-    along, nil = np.linspace(0.0, 1.0, AROUND), np.zeros(AROUND)
+    along = np.linspace(0.0, 1.0, AROUND)
     sides = [
-        np.stack(pair, 1)
-        for pair in ((along, nil), (along, nil + 1), (nil, along), (nil + 1, along))
+        pair for end in (0.0, 1.0) for pair in ((along, along * 0 + end), (along * 0 + end, along))
     ]
-    outline = np.concatenate(sides) * size - 0.5
+    outline = np.concatenate([np.stack(pair, 1) for pair in sides]) * size - 0.5
     places = transform.inverse(outline)
     places = places[np.isfinite(places).all(1)]
     if not len(places):
@@ -71,23 +64,10 @@ def box_on_grid(transform: Transform, size: tuple[int, int], grid: tuple[int, in
 def depth_in_frame(
     transform: Transform, size: tuple[int, int], box: Box, rows: tuple[int, int]
 ) -> np.ndarray:
-    """Return how far from the edge of a frame pixels of a grid lie, px of the frame; below 0 outside of it.
+    """Return how far from the edge of a frame of (width, height) `size` pixels of a grid lie, (rows, columns of the box), px of the frame, float32; below 0 outside of it.
 
-    Parameters
-    ----------
-    transform : Transform
-        Grid px → px of the frame.
-    size : (width, height) of the frame
-    box : Box
-        Of whose columns; nodes begin at its corner, so that rows may be taken in any blocks.
-    rows : (first, stop) of the grid
+    `transform` goes grid px → px of the frame. Nodes begin at the corner of the box, so that rows may be taken in any blocks.
 
-    Returns
-    -------
-    depth : ndarray, (rows, columns of the box), float32
-
-    Examples
-    --------
     >>> from levkas.geometry.transforms import Affine
     >>> depth_in_frame(Affine.identity(), (9, 9), (0, 0, 4, 9), (4, 5)).tolist()
     [[0.5, 1.5, 2.5, 3.5]]
@@ -118,66 +98,39 @@ def _cells(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class TilePart:
-    """Some rows of a part on the grid.
-
-    Parameters
-    ----------
-    columns : slice
-        Of the grid.
-    values, flags, variance : ndarray, (rows, columns, bands)
-        As `levkas.geometry.resample.warp` gives them; variance may be None.
-    depth : ndarray, (rows, columns), float32, px
-    sigma : float, grid px
-        How well the part is placed.
-    """
+    """Some rows of a part on the grid: as `levkas.geometry.resample.warp` gives them, (rows, columns, bands)."""
 
     name: str
     columns: slice
+    """Of the grid."""
     values: np.ndarray
     flags: np.ndarray
     variance: np.ndarray | None
     depth: np.ndarray
+    """(rows, columns), float32, px."""
     sigma: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Joined:
-    """Rows of all parts together: values, flags and variance, (rows, width, bands); NaN and OUTSIDE where there is no part."""
-
-    values: np.ndarray
-    flags: np.ndarray
-    variance: np.ndarray | None
+    """In grid px: how well the part is placed."""
 
 
 def weights_of(parts: Sequence[TilePart], shape: tuple[int, int]) -> list[np.ndarray]:
     """Return how much each part counts at every pixel, 0 … 1: 1 where it is the deepest, 0 from `FEATHER_PX` less on."""
-    deepest = np.full(shape, np.float32(0))
+    deepest = np.zeros(shape, np.float32)
     for part in parts:
         here = deepest[:, part.columns]
         np.maximum(here, part.depth, out=here)
-    feather = np.float32(FEATHER_PX)
+    shares = ((p.depth - deepest[:, p.columns]) / np.float32(FEATHER_PX) + 1 for p in parts)
     return [
-        np.where(
-            part.depth > 0,
-            np.clip((part.depth - deepest[:, part.columns]) / feather + 1, 0, 1),
-            np.float32(0),
-        )
-        for part in parts
+        np.where(part.depth > 0, np.clip(share, 0, 1), np.float32(0))
+        for part, share in zip(parts, shares, strict=True)
     ]
 
 
 def join(
     parts: Sequence[TilePart], shape: tuple[int, int, int], seams: Seams | None = None
-) -> Joined:
-    """Join rows of parts.
+) -> Warped:
+    """Join rows of parts, (rows, width, bands) `shape`; NaN and OUTSIDE where there is none. `seams` takes what parts differ by.
 
     Where the deepest part is saturated or has a defect, another one that is sound takes its place.
-
-    Parameters
-    ----------
-    shape : (rows, width, bands)
-    seams : Seams, optional
-        Takes what parts differ by.
     """
     noisy = bool(parts) and all(part.variance is not None for part in parts)
     weights = weights_of(parts, shape[:2])
@@ -204,7 +157,7 @@ def join(
     values[nothing], flags[nothing] = np.nan, Flag.OUTSIDE
     if variance is not None:
         variance[nothing] = np.nan
-    return Joined(values, flags, variance)
+    return Warped(values, flags, variance)
 
 
 def _fill(
@@ -243,36 +196,20 @@ class Seams:
     def add(self, parts: Sequence[TilePart], used: Sequence[np.ndarray]) -> None:
         """Take the pixels of some rows where two parts count, `used` (rows, columns, bands) each."""
         for (i, a), (j, b) in combinations(enumerate(parts), 2):
-            low, high = (
-                max(a.columns.start, b.columns.start), min(a.columns.stop, b.columns.stop),
-            )  # fmt: skip
+            low, high = max(a.columns.start, b.columns.start), min(a.columns.stop, b.columns.stop)
             if low >= high:
                 continue
-            mine, theirs = (slice(low - p.columns.start, high - p.columns.start) for p in (a, b))
-            both = (used[i][:, mine] > 0) & (used[j][:, theirs] > 0)
-            if both.any():
-                self._add_pair(a, b, mine, theirs, both)
-
-    def _add_pair(
-        self, a: TilePart, b: TilePart, mine: slice, theirs: slice, both: np.ndarray
-    ) -> None:
-        first, second = a.values[:, mine], b.values[:, theirs]
-        found = {
-            "pixels": both.sum((0, 1)).astype(float),
-            "difference": _sum(second - first, both),
-            "value": _sum((first + second) / 2, both),
-        }
-        if a.variance is not None and b.variance is not None:
-            square = (second - first) ** 2
-            random = a.variance[:, mine] + b.variance[:, theirs]
-            placed = (a.sigma**2 + b.sigma**2) * _steepness(first)
-            ratio = square / np.maximum(random + placed, np.float32(1e-20))
-            found["squares"] = _sum(ratio, both)
-            found["random"] = _sum(square / np.maximum(random, np.float32(1e-20)), both)
-            found["within"] = _sum((ratio <= WITHIN**2).astype(np.float32), both)
-        kept = self.sums.setdefault((a.name, b.name), {})
-        for name, value in found.items():
-            kept[name] = kept.get(name, 0.0) + value
+            mine, theirs = (
+                np.s_[:, low - p.columns.start : high - p.columns.start] for p in (a, b)
+            )
+            both = (used[i][mine] > 0) & (used[j][theirs] > 0)
+            if not both.any():
+                continue
+            found = _differences(a, b, mine, theirs)
+            kept = self.sums.setdefault((a.name, b.name), {})
+            for name, value in found.items():
+                total = np.where(both, value, 0).sum((0, 1), dtype=np.float64)
+                kept[name] = kept.get(name, 0.0) + total
 
     def records(self) -> list[dict[str, Any]]:
         """Return what was found of every pair, JSON-ready.
@@ -281,7 +218,49 @@ class Seams:
         place; ``ratio`` of the rms difference to that uncertainty, ``ratio_noise`` to noise alone; ``relative`` the mean difference over the
         mean value, by band.
         """
-        return [_record(pair, sums, self.labels) for pair, sums in sorted(self.sums.items())]
+        return [self._record(pair, sums) for pair, sums in sorted(self.sums.items())]
+
+    def _record(self, pair: tuple[str, str], sums: dict[str, np.ndarray]) -> dict[str, Any]:
+        count = float(sums["pixels"].sum())
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = sums["difference"] / sums["value"]
+        known = "squares" in sums and count > 0
+        share = {
+            n: float(sums[n].sum() / count) if known else 0.0
+            for n in ("within", "squares", "random")
+        }
+        found = {
+            "within": round(share["within"], 4),
+            "ratio": round(share["squares"] ** 0.5, 3),
+            "ratio_noise": round(share["random"] ** 0.5, 3),
+        }
+        return {
+            "tiles": list(pair),
+            "pixels": int(count),
+            **(found if known else dict.fromkeys(found)),
+            "relative": {
+                label: round(float(value), 5) if np.isfinite(value) else None
+                for label, value in zip(self.labels, relative, strict=True)
+            },
+        }
+
+
+def _differences(a: TilePart, b: TilePart, mine: Any, theirs: Any) -> dict[str, np.ndarray]:
+    """Return what two parts differ by where their columns are the same, (rows, columns, bands) each."""
+    first, second = a.values[mine], b.values[theirs]
+    found = {
+        "pixels": np.ones_like(first),
+        "difference": second - first,
+        "value": (first + second) / 2,
+    }
+    if a.variance is not None and b.variance is not None:
+        square, random = (second - first) ** 2, a.variance[mine] + b.variance[theirs]
+        placed = (a.sigma**2 + b.sigma**2) * _steepness(first)
+        ratio = square / np.maximum(random + placed, np.float32(1e-20))
+        found["squares"] = ratio
+        found["random"] = square / np.maximum(random, np.float32(1e-20))
+        found["within"] = (ratio <= WITHIN**2).astype(np.float32)
+    return found
 
 
 def mean_step(seam: Mapping[str, Any]) -> float:
@@ -302,34 +281,6 @@ def describe_steps(seams: Iterable[Mapping[str, Any]]) -> list[str]:
         for one in seams
         if abs(mean_step(one)) > MOST_STEP and one["pixels"] >= LEAST_PIXELS
     ]
-
-
-def _record(
-    pair: tuple[str, str], sums: dict[str, np.ndarray], labels: Iterable[str]
-) -> dict[str, Any]:
-    count = float(sums["pixels"].sum())
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = sums["difference"] / sums["value"]
-    known = "squares" in sums and count > 0
-
-    def root(name: str) -> float | None:
-        return round(float(np.sqrt(sums[name].sum() / count)), 3) if known else None
-
-    return {
-        "tiles": list(pair),
-        "pixels": int(count),
-        "within": round(float(sums["within"].sum() / count), 4) if known else None,
-        "ratio": root("squares"),
-        "ratio_noise": root("random"),
-        "relative": {
-            label: round(float(value), 5) if np.isfinite(value) else None
-            for label, value in zip(labels, relative, strict=True)
-        },
-    }
-
-
-def _sum(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    return np.where(where, values, 0).sum((0, 1), dtype=np.float64)
 
 
 def _steepness(values: np.ndarray) -> np.ndarray:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from levkas.registration.models import (
 
 #: Reductions at which windows are compared, coarse first; rounds at each, at most; change, px, at which one ends.
 STEPS, ROUNDS, CONVERGED_PX = (8, 4, 2, 1), 5, 0.005
-#: Windows that reach beyond the capture range at a step, px of that step.
+#: Shift that windows find, px of a step.
 CAPTURE_PX = 1.5
 #: Least share of a window's variance that the other tile explains, whatever chance gives; percentile of chance.
 LEAST_R2, CHANCE_PERCENT = 0.15, 95.0
@@ -43,8 +44,8 @@ NARROWEST = 14
 MOST_KEPT = 64
 #: Cells that share px of one window.
 SHARED_CELLS = 9.0
-#: Sub-windows of detail: a tile's detail over that of its noise below which there is none.
-LEAST_DETAIL = 1.3
+#: Variance of detail at half the sampling, of that at all of it, below which it is noise: smoothed white noise has about 0.6, paint more.
+LEAST_DETAIL = 0.78
 
 
 @dataclass(frozen=True)
@@ -79,47 +80,28 @@ class NoOverlap:
 def measure_overlap(
     first: np.ndarray, second: np.ndarray, begin: Transform, *, reach: float = 4.0
 ) -> OverlapWindows | NoOverlap:
-    """Measure where two tiles show the same.
+    """Measure where two tiles, (h, w) float32, NaN where invalid, show the same.
 
-    Parameters
-    ----------
-    first, second : ndarray, (h, w), float32
-        Detail of either tile, NaN where invalid.
-    begin : Transform
-        Px of the first → px of the second.
-    reach : float, px
-        By which it may be wrong.
-
-    Returns
-    -------
-    overlap : OverlapWindows or NoOverlap
-
-    Notes
-    -----
-    Windows are those of [baker2004]_ with gain, bias and ramp, three cells wide, doi:10.1023/B:VISI.0000011205.11775.fd; chance is what they reach
-    where one tile is displaced by some cells.
+    `begin` goes px of the first → px of the second, and may be wrong by `reach` px. Windows are those of [baker2004]_ with gain, bias and
+    ramp, three cells wide, doi:10.1023/B:VISI.0000011205.11775.fd; chance is what they reach where one tile is displaced by some cells.
     """
-    transform, compared = begin, None
-    for step in _steps(reach):
+    transform, pictures = begin, (first, second)
+    for step in (one for one in STEPS if one == 1 or one * CAPTURE_PX < 2 * reach):
         for _ in range(ROUNDS):
             place = _Place.of(transform, first.shape, second.shape)
             if place is None:
                 return NoOverlap("apart")
-            compared = place.compare(first, second, transform, step)
+            compared = place.compare(pictures, transform, step)
             if compared is None:
                 break
-            before, transform = transform, _fitted(compared, transform, place)
-            if _moved(before, transform, place) < CONVERGED_PX * step:
+            before, transform = transform, compared.fitted(transform)
+            if place.change(before, transform) < CONVERGED_PX * step:
                 break
     place = _Place.of(transform, first.shape, second.shape)
-    compared = None if place is None else place.compare(first, second, transform, 1)
+    compared = None if place is None else place.compare(pictures, transform, 1)
     if place is None or compared is None:
         return NoOverlap("apart")
-    return _judged(compared, transform, place, (first, second))
-
-
-def _steps(reach: float) -> Iterator[int]:
-    yield from (step for step in STEPS if step == 1 or step * CAPTURE_PX < 2 * reach)
+    return _judged(compared, transform, place, pictures)
 
 
 @dataclass(frozen=True)
@@ -127,27 +109,36 @@ class _Compared:
     """Windows of an overlap: places in the first tile, shifts, information, and what is explained."""
 
     found: WindowShifts
-    points: np.ndarray
-    partners: np.ndarray
-    jacobian: np.ndarray
+    observations: Observations
+    """With the information of their own px."""
     step: int
     cell: float
 
-    @property
+    @cached_property
     def usable(self) -> np.ndarray:
-        trace = np.trace(self.found.information, axis1=1, axis2=2)
-        return np.asarray(
-            (trace > 0) & (np.abs(self.found.shift).max(1) < 3 * CAPTURE_PX * self.step)
-        )
+        """Windows with detail that lie within the capture range."""
+        has_detail = np.trace(self.found.information, axis1=1, axis2=2) > 0
+        near = np.abs(self.found.shift).max(1) < 3 * CAPTURE_PX * self.step
+        return np.asarray(has_detail & near)
 
-    def observations(self, mask: np.ndarray) -> Observations:
-        """Return the windows of `mask` with the information of their own px."""
-        return Observations(
-            self.points[mask],
-            self.partners[mask],
-            self.jacobian[mask],
-            self.found.information[mask] / SHARED_CELLS,
-        )
+    def fitted(self, transform: Transform) -> Transform:
+        """Return the map of windows, as rich as they determine it in both directions; the one before where they are too few."""
+        windows = self.observations.part(self.usable & (self.found.r2 > LEAST_R2))
+        if len(windows) < 4:
+            return transform
+        wide = np.ptp(windows.points, axis=0).min() / self.cell
+        orders = (n for n, (least, w) in RICHEST.items() if len(windows) >= least and wide >= w)
+        order, weighted = max(orders, default=0), windows
+        for _ in range(6):
+            transform = fit_polynomial(weighted, order) if order else fit_similarity(weighted)
+            information, weights = scale_covariance(
+                windows.residuals(transform), windows.information
+            )
+            weighted = Observations(
+                *(windows.points, windows.target, windows.jacobian),
+                information * weights[:, None, None],
+            )
+        return transform
 
 
 @dataclass(frozen=True)
@@ -164,176 +155,122 @@ class _Place:
     def of(
         cls, transform: Transform, shape: tuple[int, ...], other: tuple[int, ...]
     ) -> _Place | None:
-        h, w = shape
-        x, y = np.linspace(0, w - 1, min(w, 129)), np.linspace(0, h - 1, min(h, 129))
+        x, y = (np.linspace(0, n - 1, min(n, 129)) for n in shape[::-1])
         with np.errstate(all="ignore"):
             there = transform(np.stack(np.meshgrid(x, y), -1).reshape(-1, 2))
             inside = (there >= -0.5).all(1) & (there <= np.array(other[::-1]) - 0.5).all(1)
         inside = inside.reshape(len(y), len(x))
         if not inside.any():
             return None
-        columns, rows = (np.flatnonzero(inside.any(axis)) for axis in (0, 1))
-        left, right = int(x[columns[0]]), int(np.ceil(x[columns[-1]]))
-        top, bottom = int(y[rows[0]]), int(np.ceil(y[rows[-1]]))
-        if min(right - left, bottom - top) + 1 < NARROWEST:
+        columns, rows = x[inside.any(0)], y[inside.any(1)]
+        left, top = int(columns[0]), int(rows[0])
+        width, height = (int(np.ceil(n[-1])) - int(n[0]) + 1 for n in (columns, rows))
+        if min(width, height) < NARROWEST:
             return None
-        return cls(left, top, right - left + 1, bottom - top + 1, float(inside.mean()))
+        return cls(left, top, width, height, float(inside.mean()))
+
+    @property
+    def corner(self) -> Affine:
+        """Px of the box → px of the first tile."""
+        return Affine.of_box(self.left, self.top)
 
     def cell(self, step: int) -> int:
         """Side of a cell, px of the step: an overlap that is narrow has small ones."""
         return int(np.clip(min(self.width, self.height) // (4 * step), 4, CELL_PX))
 
     def compare(
-        self, first: np.ndarray, second: np.ndarray, transform: Transform, step: int
+        self, pictures: Sequence[np.ndarray], transform: Transform, step: int
     ) -> _Compared | None:
         """Compare windows of both tiles; None where the overlap is too small for any at that step."""
         shape = self.height // step, self.width // step
         if min(shape) < NARROWEST:
             return None
-        corner = Affine(np.array([[1.0, 0, self.left], [0, 1, self.top]]))
-        onto = Composed(corner, transform)
-        one, two = _details((first, second), (corner, onto), shape, step)
+        maps = (self.corner, Composed(self.corner, transform))
+        one, two = (
+            picture_on_grid(p, m, shape, step=step) for p, m in zip(pictures, maps, strict=True)
+        )
+        # Where both are: a local mean that reaches farther in one than in the other would move it.
+        missing = np.isnan(one) | np.isnan(two)
+        one[missing] = two[missing] = np.nan
         cell = self.cell(step)
-        found = Predictor(one[None], step=float(step), cell=cell).compare(two)
-        points = corner(found.centres)
+        predictor = Predictor(highpass(one)[None], step=float(step), cell=cell)
+        found = predictor.compare(highpass(two))
+        points = self.corner(found.centres)
         with np.errstate(all="ignore"):
             partners, jacobian = transform(points), transform.jacobian(points)
-        return _Compared(found, points + found.shift, partners, jacobian, step, float(cell * step))
+        windows = Observations(
+            points + found.shift, partners, jacobian, found.information / SHARED_CELLS
+        )
+        return _Compared(found, windows, step, float(cell * step))
 
-    def chance(self, first: np.ndarray, second: np.ndarray, transform: Transform) -> float:
+    def chance(self, pictures: Sequence[np.ndarray], transform: Transform) -> float:
         """Return the share of variance that windows reach which show different things."""
         shares = []
         for across, down in (ASIDE_CELLS, ASIDE_CELLS[::-1]):
-            aside = self.cell(1) * np.array([across, -down])
-            moved = Composed(Affine(np.array([[1.0, 0, aside[0]], [0, 1, aside[1]]])), transform)
-            found = self.compare(first, second, moved, 1)
+            aside = Affine.of_box(self.cell(1) * across, -self.cell(1) * down)
+            found = self.compare(pictures, Composed(aside, transform), 1)
             if found is not None and found.usable.any():
                 shares.append(found.found.r2[found.usable])
         return float(np.percentile(np.concatenate(shares), CHANCE_PERCENT)) if shares else 0.0
 
+    def change(self, before: Transform, after: Transform) -> float:
+        """Return by how much two maps differ in the box, px."""
+        x, y = (np.linspace(0, n - 1, 5) for n in (self.width, self.height))
+        points = self.corner(np.stack(np.meshgrid(x, y), -1).reshape(-1, 2))
+        return float(np.median(np.abs(after(points) - before(points)).max(1)))
 
-def _details(
-    pictures: Sequence[np.ndarray], maps: Sequence[Transform], shape: tuple[int, int], step: int
-) -> list[np.ndarray]:
-    """Return the detail of pictures where all of them are: a mean that reaches farther in one than in another would move it."""
-    found = [picture_on_grid(p, m, shape, step=step) for p, m in zip(pictures, maps, strict=True)]
-    missing = np.any(np.isnan(found), axis=0)
-    for picture in found:
-        picture[missing] = np.nan
-    return [highpass(picture) for picture in found]
-
-
-def _good(compared: _Compared, least: float = LEAST_R2) -> np.ndarray:
-    return np.asarray(compared.usable & (compared.found.r2 > least))
-
-
-def _fitted(compared: _Compared, transform: Transform, place: _Place) -> Transform:
-    """Return the map of windows, as rich as they determine it in both directions; the one before where they are too few."""
-    good = _good(compared)
-    if good.sum() < 3:
-        return transform
-    return _robust_map(compared.observations(good), compared.cell, transform)
-
-
-def _robust_map(windows: Observations, cell: float, transform: Transform) -> Transform:
-    observations, extent = windows, np.ptp(windows.points, axis=0).min() / cell
-    for _ in range(6):
-        order = max(
-            (n for n, (most, wide) in RICHEST.items() if len(windows) >= most and extent >= wide),
-            default=0,
-        )
-        if order:
-            transform = fit_polynomial(observations, order)
-        elif len(windows) >= 4:
-            transform = fit_similarity(observations)
-        else:
-            break
-        information, weights = scale_covariance(windows.residuals(transform), windows.information)
-        observations = Observations(
-            windows.points, windows.target, windows.jacobian, information * weights[:, None, None]
-        )
-    return transform
-
-
-def _moved(before: Transform, after: Transform, place: _Place) -> float:
-    x, y = np.meshgrid(
-        place.left + np.linspace(0, place.width - 1, 5),
-        place.top + np.linspace(0, place.height - 1, 5),
-    )
-    points = np.stack([x.ravel(), y.ravel()], 1)
-    return float(np.median(np.abs(after(points) - before(points)).max(1)))
+    def is_plain(self, pictures: Sequence[np.ndarray], transform: Transform) -> bool:
+        """Whether what is shared shows no detail but noise: at half the sampling as much less as noise has."""
+        maps: tuple[Transform, ...] = (self.corner, Composed(self.corner, transform))
+        for picture, onto in zip(pictures, maps, strict=True):
+            powers = []
+            for step in (1, 2):
+                shape = self.height // step, self.width // step
+                detail = detail_on_grid(picture, onto, shape, step=step)
+                powers.append(float(np.nanvar(detail)) if np.isfinite(detail).any() else 0.0)
+            if powers[1] < LEAST_DETAIL * powers[0]:
+                return True
+        return False
 
 
 def _judged(
-    compared: _Compared,
-    transform: Transform,
-    place: _Place,
-    pictures: tuple[np.ndarray, np.ndarray],
+    compared: _Compared, transform: Transform, place: _Place, pictures: Sequence[np.ndarray]
 ) -> OverlapWindows | NoOverlap:
     """Return the overlap if more windows agree than chance gives."""
     usable = compared.usable
     if not usable.any():
-        return NoOverlap("no detail" if _is_plain(place, pictures, transform) else "apart")
-    threshold = max(LEAST_R2, place.chance(*pictures, transform))
-    good = _good(compared, threshold)
-    windows = compared.observations(good)
-    if len(windows) < LEAST_WINDOWS or good.sum() < LEAST_SHARE * usable.sum():
-        plain = _is_plain(place, pictures, transform)
-        return NoOverlap("no detail" if plain else "unlike")
+        return NoOverlap("no detail" if place.is_plain(pictures, transform) else "apart")
+    threshold = max(LEAST_R2, place.chance(pictures, transform))
+    good = usable & (compared.found.r2 > threshold)
+    windows = compared.observations.part(good)
+    if len(windows) < max(LEAST_WINDOWS, LEAST_SHARE * usable.sum()):
+        return NoOverlap("no detail" if place.is_plain(pictures, transform) else "unlike")
     miss = np.linalg.norm(windows.residuals(transform), axis=1)
-    agreeing = miss <= max(AGREE * float(np.median(miss)), AGREE_PX)
-    windows = windows.part(agreeing)
+    windows = windows.part(miss <= max(AGREE * float(np.median(miss)), AGREE_PX))
     if len(windows) < LEAST_WINDOWS or np.median(miss) > CAPTURE_PX / 2:
         return NoOverlap("unlike")
-    residual = windows.residuals(transform)
-    merged = _merged(windows, compared.cell)
     return OverlapWindows(
-        merged.points,
-        merged.target,
-        merged.information,
+        *_merged(windows, compared.cell),
         len(windows),
         place.share,
         transform,
-        float(np.sqrt(np.mean(residual**2))),
+        float(np.sqrt(np.mean(windows.residuals(transform) ** 2))),
         float(np.median(compared.found.r2[good])),
     )
 
 
-def _is_plain(place: _Place, pictures: tuple[np.ndarray, np.ndarray], transform: Transform) -> bool:
-    """Whether what is shared shows no detail but noise: at half the sampling as much less as noise has."""
-    corner = Affine(np.array([[1.0, 0, place.left], [0, 1, place.top]]))
-    maps: tuple[Transform, ...] = (corner, Composed(corner, transform))
-    for picture, onto in zip(pictures, maps, strict=True):
-        powers = []
-        for step in (1, 2):
-            shape = place.height // step, place.width // step
-            detail = detail_on_grid(picture, onto, shape, step=step)
-            known = detail[np.isfinite(detail)]
-            powers.append(float(np.var(known)) if known.size else 0.0)
-        # White noise, smoothed by one spline: means of 2 x 2 px have about 0.6 of its variance; paint has more.
-        if powers[1] < LEAST_DETAIL * 0.6 * powers[0]:
-            return True
-    return False
-
-
-def _merged(windows: Observations, cell: float) -> Observations:
-    """Return the means of neighbouring windows by their information, at most about `MOST_KEPT`."""
+def _merged(windows: Observations, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return points, partners and information of neighbouring windows together, at most about `MOST_KEPT`."""
     extent = np.ptp(windows.points, axis=0) + cell
     side = max(3 * cell, float(np.sqrt(extent.prod() / MOST_KEPT)))
     place = np.floor((windows.points - windows.points.min(0)) / side).astype(int)
-    _, group = np.unique(place, axis=0, return_inverse=True)
-    order = np.argsort(group.ravel(), kind="stable")
-    starts = np.flatnonzero(np.diff(group.ravel()[order], prepend=-1))
-    weight = np.trace(windows.information, axis1=1, axis2=2)[order]
+    kept, group = np.unique(place, axis=0, return_inverse=True)
 
-    def mean(values: np.ndarray) -> np.ndarray:
-        shape = (-1,) + (1,) * (values.ndim - 1)
-        total = np.add.reduceat(values[order] * weight.reshape(shape), starts)
-        return np.asarray(total / np.add.reduceat(weight, starts).reshape(shape))
+    def total(values: np.ndarray) -> np.ndarray:
+        sums = np.zeros((len(kept), *values.shape[1:]))
+        np.add.at(sums, group.ravel(), values)
+        return sums
 
-    return Observations(
-        mean(windows.points),
-        mean(windows.target),
-        mean(windows.jacobian),
-        np.add.reduceat(windows.information[order], starts),
-    )
+    weight = np.trace(windows.information, axis1=1, axis2=2)[:, None]
+    means = (total(values * weight) / total(weight) for values in (windows.points, windows.target))
+    return *means, total(windows.information)
