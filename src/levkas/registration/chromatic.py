@@ -132,14 +132,11 @@ def interpolate_chromatic(
     """
     places = np.concatenate([np.asarray(measured, float), np.asarray(wanted, float)])
     selection = np.eye(len(measured), len(places))
-    bends, count = _correlations(selection, places), shifts.amounts.shape[1]
-    amounts, doubts = np.zeros((2, len(wanted), count))
-    for column in range(count):
-        y = shifts.amounts[:, column]
-        noise = np.full(len(y), LEAST_VARIANCE)
-        if shifts.variances is not None:
-            noise = noise + shifts.variances[:, column]
-        mean, variance = _posterior(y, noise, selection, bends, 0.0)
+    known = shifts.variances if shifts.variances is not None else np.zeros_like(shifts.amounts)
+    amounts, doubts = np.zeros((2, len(wanted), shifts.amounts.shape[1]))
+    for column, y in enumerate(shifts.amounts.T):
+        noise = LEAST_VARIANCE + known[:, column]
+        mean, variance = _posterior(y, noise, selection, places, 0.0)
         amounts[:, column], doubts[:, column] = mean[len(y) :], variance[len(y) :]
     return replace(shifts, amounts=amounts, variances=doubts)
 
@@ -197,7 +194,8 @@ def _system(
     lean, given = design[..., :size], windows.information[used]
     information, residual = given, goal
     for _ in range(ROUNDS):
-        residual = goal - lean @ _solve(*_normal(lean, information, goal))
+        matrix, right = _normal(lean, information, goal)
+        residual = goal - lean @ (_inverse(matrix) @ right)
         floored, weights = inflate_covariance(residual, given)
         information = floored * weights[:, None, None]
     matrix, right = _normal(design, information, goal)
@@ -220,10 +218,10 @@ def _normal(
     return weighted.T @ design.reshape(weighted.shape), weighted.T @ goal.reshape(-1)
 
 
-def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _inverse(matrix: np.ndarray) -> np.ndarray:
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-30))
-    solved = np.linalg.lstsq(matrix * scale[:, None] * scale, right * scale, rcond=1e-10)[0]
-    return solved * scale
+    scale = scale[:, None] * scale
+    return np.asarray(np.linalg.pinv(matrix * scale, rcond=1e-10, hermitian=True) * scale)
 
 
 def _amounts(
@@ -236,20 +234,15 @@ def _amounts(
 
     The price is on the squares of what is returned: what a band is apart from its prediction.
     """
-    size = len(price)
-    visible = apart @ earlier
+    size, moved = len(price), apart @ earlier - earlier
     amounts = np.zeros((len(systems), size))
     variances = np.full((len(systems), size), np.inf)
     for band, (matrix, right) in enumerate(systems):
-        if not matrix.any():
-            continue
-        matrix = matrix[:size, :size]
-        whole = matrix + np.diag(price)
-        moved = right[:size] + matrix @ (visible - earlier)[band, :size]
-        amounts[band] = _solve(whole, moved)
-        scale = 1 / np.sqrt(np.maximum(np.diag(whole), 1e-30))
-        inverse = np.linalg.pinv(whole * scale[:, None] * scale, rcond=1e-10, hermitian=True)
-        variances[band] = np.diag(inverse) * scale**2
+        if matrix.any():
+            matrix = matrix[:size, :size]
+            inverse = _inverse(matrix + np.diag(price))
+            amounts[band] = inverse @ (right[:size] + matrix @ moved[band, :size])
+            variances[band] = np.diag(inverse)
     return amounts, variances
 
 
@@ -277,54 +270,47 @@ def _smooth(
             selection = np.vstack([selection, np.eye(len(apart))[fixed]])
             y, noise = np.append(y, 0.0), np.append(noise, LEAST_VARIANCE)
         if len(y):
-            bends = _correlations(selection, places) if smooth else []
             result[:, column], doubts[:, column] = _posterior(
-                y, noise, selection, bends, price[column]
+                y, noise, selection, places if smooth else None, price[column]
             )
     return result if fixed is None else result - result[fixed], doubts
 
 
-Correlations = list[tuple[np.ndarray, np.ndarray]]
-"""Of what was measured with all amounts, (measured, bands), and with itself, for each length over wavelength."""
-
-
-def _correlations(selection: np.ndarray, places: np.ndarray) -> Correlations:
-    apart = (places[:, None] - places) ** 2
-    across = [selection @ np.exp(-0.5 * apart / nm**2) for nm in LENGTHS]
-    return [(one, one @ selection.T) for one in across]
-
-
 def _posterior(
-    y: np.ndarray, noise: np.ndarray, selection: np.ndarray, bends: Correlations, price: float
+    y: np.ndarray,
+    noise: np.ndarray,
+    selection: np.ndarray,
+    places: np.ndarray | None,
+    price: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and variance of the amounts, (bands,), given ``y = selection @ amounts`` with variances `noise`.
 
-    Algorithm 2.1 of [rasmussen2006]_ for each combination of scales; that of the highest marginal
-    likelihood is taken. Scales are compared on what was measured alone, which is less than all that is wanted.
+    Algorithm 2.1 of [rasmussen2006]_ for each combination of scales; that of the highest marginal likelihood is taken. Amounts are smooth
+    over `places`, nm, where these are given.
     """
     plain = np.linalg.lstsq(selection, y, rcond=1e-3)[0]
-    size = max(float(np.mean(plain**2)), float(np.median(noise)), 1e-10)
+    size = max(float(np.mean(plain**2)), float(np.median(noise)), LEAST_VARIANCE)
     if price > 0:
         size = min(size, 1 / price)
     common = (1 if price > 0 else 100) * size
-    rows, single = selection.sum(1), selection @ selection.T
-    still = common * np.outer(rows, rows) + np.diag(noise)
-    none = (np.zeros(selection.shape), np.zeros(single.shape)), 0.0
+    count = selection.shape[1]
+    smooth = [np.zeros((count, count))]
+    if places is not None:
+        apart = (places[:, None] - places) ** 2
+        smooth += [s * np.exp(-0.5 * apart / nm**2) for nm, s in product(LENGTHS, SMOOTH)]
     best, chosen = -np.inf, None
-    for (across, within), share in [none, *product(bends, SMOOTH)]:
-        for own in OWN:
-            factor, failed = dpotrf(still + size * (share * within + own * single), lower=1)
-            if failed:
-                continue
-            white, _ = dtrtrs(factor, y, lower=1)
-            likelihood = -0.5 * (white @ white) - np.log(np.diag(factor)).sum()
-            if likelihood > best:
-                best = likelihood
-                # Covariance of what was measured with the amounts, and the variance of these before it was.
-                shared = common * rows[:, None] + size * (share * across + own * selection)
-                chosen = factor, white, shared, common + size * (share + own)
+    for bend, own in product(smooth, OWN):
+        prior = common + size * (bend + own * np.eye(count))
+        across = selection @ prior
+        factor, failed = dpotrf(across @ selection.T + np.diag(noise), lower=1)
+        if failed:
+            continue
+        white, _ = dtrtrs(factor, y, lower=1)
+        likelihood = -0.5 * (white @ white) - np.log(np.diag(factor)).sum()
+        if likelihood > best:
+            best, chosen = likelihood, (factor, white, across, np.diag(prior))
     if chosen is None:
-        return plain, np.full(selection.shape[1], size)
-    factor, white, shared, whole = chosen
-    known, _ = dtrtrs(factor, shared, lower=1)
-    return known.T @ white, np.maximum(whole - (known**2).sum(0), 0.0)
+        return plain, np.full(count, size)
+    factor, white, across, before = chosen
+    known, _ = dtrtrs(factor, across, lower=1)
+    return known.T @ white, np.maximum(before - (known**2).sum(0), 0.0)

@@ -1,22 +1,19 @@
 """Registration of the reference camera's own bands to its reference band.
 
-The bands of either half, every other one in the order of wavelength, are predicted from those of the other
-half. Where a prediction lies depends on where its bands lie: all positions are solved for together, that of
-the reference band being given.
+The bands of either half, every other one in the order of wavelength, are predicted from those of the other half. Where a prediction lies
+depends on where its bands lie: all positions are solved for together, that of the reference band being given.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
-from levkas.registration.bands import by_wavelength, present_bands
+from levkas.registration.bands import BandImage, by_wavelength, present_bands
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.coarse_to_fine import SETTINGS as REFINEMENT
 from levkas.registration.coarse_to_fine import (
@@ -34,6 +31,8 @@ from levkas.registration.measured_bands import (
 from levkas.registration.model_selection import SelectionTerms, scattered_information
 from levkas.registration.models import Observations
 from levkas.registration.predictors import (
+    LINEAR,
+    LOGARITHMIC,
     cell_px,
     measure_shifts,
     principal_components,
@@ -43,33 +42,19 @@ from levkas.registration.uncertainty import measure_sigma
 from levkas.registration.window_fusion import SETTINGS as FUSION
 from levkas.registration.window_fusion import has_information
 
-if TYPE_CHECKING:
-    from levkas.registration.bands import BandImage
-
-
-@dataclass(frozen=True)
-class OwnBandSettings:
-    """Constants of the registration of the reference's own bands."""
-
-    ridges: tuple[float, ...] = (1e-2, 1e-3, 3e-4, 1e-4)
-    """Ridge of the predictions in each round. Bands that are not yet aligned differ by gradients, and a combination of them
-    passes for a shift; the price of small components falls as they come to be paint."""
-    first: tuple[int, int] = (5, 3)
-    last: tuple[int, int] = (8, 4)
-    """`first`, `last`: principal components of reflectance, and of its logarithm, before the last round and in it: once
-    bands are aligned, what a few images leave of a band is paint that changes with the wavelength."""
-    halves_from: int = 6
-    """Bands from which they are predicted in two halves; fewer are predicted one by one."""
-    far: float = 0.5
-    """In px: shift of a band from which all are brought near by the reference band alone first."""
-    steady: float = 0.05
-    """In px of the grid: a grid twice as fine may move no band by more: where noise drowns it, bands that look alike drift
-    together, and farther than that."""
-    compared: int = 8
-    """Bands in which two grids are compared."""
-
-
-SETTINGS = OwnBandSettings()
+RIDGES = (1e-2, 1e-3, 3e-4, 1e-4)
+"""Ridge of the predictions in each round. Bands that are not yet aligned differ by gradients, and a combination of them passes for a shift;
+the price of small components falls as they come to be paint."""
+FIRST, LAST = (LINEAR, LOGARITHMIC), (8, 4)
+"""Principal components of reflectance, and of its logarithm, before the last round and in it: once bands are aligned, what a few images
+leave of a band is paint that changes with the wavelength."""
+HALVES_FROM = 6
+"""Bands from which they are predicted in two halves; fewer are predicted one by one."""
+FAR, STEADY = 0.5, 0.05
+"""Px: shift of a band from which all are brought near by the reference band alone first; px of the grid: a grid twice as fine may move no
+band by more: where noise drowns it, bands that look alike drift together, and farther than that."""
+COMPARED = 8
+"""Bands in which two grids are compared."""
 
 
 def register_own_bands(
@@ -78,7 +63,6 @@ def register_own_bands(
     """Register the bands of the reference's sensor to `anchor`; `images` are their square roots by label."""
     bands = by_wavelength(bands)
     labels = [band.label for band in bands]
-    fixed = labels.index(anchor.label)
     there = present_bands(bands, anchor)
     also = [band.label for band in there].index(anchor.label)
     shown = [there[i] for i in measured_bands(there, also=also)]
@@ -87,9 +71,9 @@ def register_own_bands(
         shown = there
         model, shifts = _align(shown, images, anchor)
     model = chromatic_of_all(model, shown, bands)
-    identity = Affine.identity()
     transforms: dict[str, Transform] = {
-        label: identity if i == fixed else model.transform(i) for i, label in enumerate(labels)
+        label: Affine.identity() if label == anchor.label else model.transform(i)
+        for i, label in enumerate(labels)
     }
     sigma = measure_sigma(anchor.values.shape, labels, model)
     windows = dict(zip([band.label for band in shown], shifts, strict=False))
@@ -124,84 +108,85 @@ class _Bands:
         self, pictures: Sequence[np.ndarray], wavelengths: Sequence[float], fixed: int
     ) -> None:
         self.pictures, self.wavelengths, self.fixed = pictures, wavelengths, fixed
-        self.shape = pictures[fixed].shape
+        self.shape, self.count = pictures[fixed].shape, len(pictures)
 
     def align(self, model: ChromaticShifts) -> tuple[ChromaticShifts, list[WindowShifts]]:
         """Return the shifts of all bands, and the windows of the last round."""
         small = self.pictures[self.fixed].size < REFINEMENT.large
         step = max(self._most_informative_step(), 1 if small else 2)
-        model = self._start(model, step)
+        near = self._bring_near(model)
+        if near is not model:  # the reference band alone predicts other bands badly
+            explained = [
+                np.mean([_explained(one) for one in self._adjust(tried, step, RIDGES[0])[1]])
+                for tried in (model, near)
+            ]
+            model = near if explained[1] > explained[0] else model
         shifts: list[WindowShifts] = []
-        for ridge in SETTINGS.ridges:
+        for ridge in RIDGES:
             model, shifts = self._adjust(model, step, ridge)
-        return self._try_finer(model, step, shifts) if step > 1 else (model, shifts)
+        if step == 1:
+            return model, shifts
+        # Half the step is kept if its windows hold more information.
+        finer, finer_shifts = self._adjust(model, step // 2, RIDGES[-1])
+        width = model.amounts.shape[1]
+        moved = np.sqrt(((finer.amounts[:, :width] - model.amounts) ** 2).sum(1)).max()
+        before, after = (
+            sum(each(_information, evenly_spread(windows, COMPARED)))
+            for windows in (shifts, finer_shifts)
+        )
+        better = after > before and moved < STEADY * step
+        return (finer, finer_shifts) if better else (model, shifts)
+
+    def _resample(self, model: ChromaticShifts, step: int) -> list[np.ndarray]:
+        maps = [model.transform(i) for i in range(self.count)]
+        return resample_all(self.pictures, maps, self._size(step), step)
 
     def _size(self, step: int) -> tuple[int, int]:
         return self.shape[0] // step, self.shape[1] // step
 
-    def _predictor(self, stack: np.ndarray, step: int) -> Predictor:
-        basis = principal_components(stack).high_passed()
+    def _alone(self, picture: np.ndarray, step: int) -> Predictor:
+        """Return the predictor that the reference band makes alone."""
+        basis = principal_components(picture[None]).high_passed()
         return Predictor(basis.images, step=step, cell=cell_px(self._size(step)))
 
     def _most_informative_step(self) -> int:
         """Return the step at which windows hold most information: fine grids of oversampled frames hold less."""
-        fixed, others = self.fixed, [i for i in range(len(self.pictures)) if i != self.fixed]
-        near = sorted(others, key=lambda i: abs(i - fixed))[:2]
-        shown = [self.pictures[i] for i in (fixed, *near)]
-        identity = [Affine.identity()] * len(shown)
-        best, most = 1, -np.inf
+        near = sorted(range(self.count), key=lambda i: abs(i - self.fixed))[:3]
+        shown, best, most = [self.pictures[i] for i in near], 1, -np.inf
         for step in pyramid_steps(self.shape, 1):
-            anchor, *rest = resample_all(shown, identity, self._size(step), step)
-            predictor = self._predictor(anchor[None], step)
+            still = [Affine.identity()] * len(shown)
+            anchor, *rest = resample_all(shown, still, self._size(step), step)
+            predictor = self._alone(anchor, step)
             total = sum(_information(w) for w in each(partial(measure_shifts, predictor), rest))
             if total > most:
                 best, most = step, total
         return best
-
-    def _start(self, model: ChromaticShifts, step: int) -> ChromaticShifts:
-        """Return the start from which the bands predict each other better: as they are, or brought near.
-
-        The reference band alone predicts other bands badly: it is of use only where bands are far apart.
-        """
-        near = self._bring_near(model)
-        if near is model:
-            return model
-        explained = []
-        for tried in (model, near):
-            shifts = self._adjust(tried, step, SETTINGS.ridges[0])[1]
-            explained.append(float(np.mean([_explained(windows) for windows in shifts])))
-        return near if explained[1] > explained[0] else model
 
     def _bring_near(self, first: ChromaticShifts) -> ChromaticShifts:
         """Bring bands that are pixels apart near by the reference band; return `first` where none is."""
         model = first
         for step in pyramid_steps(self.shape, 1):
             warped = self._resample(model, step)
-            predictor = self._predictor(warped[self.fixed][None], step)
-            shifts = each(partial(measure_shifts, predictor), warped)
+            shifts = each(partial(measure_shifts, self._alone(warped[self.fixed], step)), warped)
             model = fit_chromatic(
                 shifts, model, self.wavelengths, highest="affine", fixed=self.fixed
             )
-            if np.sqrt((model.amounts**2).sum(1)).max() < SETTINGS.far:
+            if np.sqrt((model.amounts**2).sum(1)).max() < FAR:
                 return first
         return model
-
-    def _resample(self, model: ChromaticShifts, step: int) -> list[np.ndarray]:
-        maps = [model.transform(i) for i in range(len(self.pictures))]
-        return resample_all(self.pictures, maps, self._size(step), step)
 
     def _adjust(
         self, model: ChromaticShifts, step: int, ridge: float
     ) -> tuple[ChromaticShifts, list[WindowShifts]]:
         """Predict each group of bands from the others, and fit the shifts of all together."""
-        count = len(self.pictures)
-        warped = self._resample(model, step)
+        count, warped = self.count, self._resample(model, step)
         sensitivity, shifts = np.zeros((count, count)), {}
-        counts = SETTINGS.last if ridge == SETTINGS.ridges[-1] else SETTINGS.first
-        for group in self._groups():
+        halves = [list(range(k, count, 2)) for k in ((self.fixed + 1) % 2, self.fixed % 2)]
+        for group in halves if count >= HALVES_FROM else [[i] for i in range(count)]:
             others = [i for i in range(count) if i not in group]
             stack = np.stack([warped[i] for i in others])
-            basis = principal_components(stack, counts).high_passed()
+            basis = principal_components(stack, LAST if ridge == RIDGES[-1] else FIRST)
+            basis = basis.high_passed()
             predictor = Predictor(basis.images, step=step, cell=cell_px(self._size(step)))
             measure = partial(measure_shifts, predictor, ridge=ridge)
             for i, windows in zip(group, each(measure, [warped[i] for i in group]), strict=True):
@@ -212,26 +197,6 @@ class _Bands:
             found, model, self.wavelengths, fixed=self.fixed, sensitivity=sensitivity
         )
         return fitted, found
-
-    def _groups(self) -> list[list[int]]:
-        count, fixed = len(self.pictures), self.fixed
-        if count < SETTINGS.halves_from:
-            return [[i] for i in range(count)]
-        return [list(range(k, count, 2)) for k in ((fixed + 1) % 2, fixed % 2)]
-
-    def _try_finer(
-        self, model: ChromaticShifts, step: int, shifts: list[WindowShifts]
-    ) -> tuple[ChromaticShifts, list[WindowShifts]]:
-        """Adjust once more at half the step, and keep that if its windows hold more information."""
-        finer, finer_shifts = self._adjust(model, step // 2, SETTINGS.ridges[-1])
-        width = model.amounts.shape[1]
-        moved = np.sqrt(((finer.amounts[:, :width] - model.amounts) ** 2).sum(1)).max()
-        before, after = (
-            sum(each(_information, evenly_spread(windows, SETTINGS.compared)))
-            for windows in (shifts, finer_shifts)
-        )
-        better = after > before and moved < SETTINGS.steady * step
-        return (finer, finer_shifts) if better else (model, shifts)
 
 
 def _information(windows: WindowShifts) -> float:
