@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from math import isnan, nan
 from pathlib import Path
@@ -15,17 +15,27 @@ import numpy as np
 
 from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.digests import hash_file
-from levkas.core.files import remove, spooling, together, write_bytes
+from levkas.core.files import remove, spooling, together, write_bytes, write_json
 from levkas.core.machine import count_threads
+from levkas.core.problems import Problem, closest_match
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
 from levkas.core.threads import made_ahead
-from levkas.database.catalogue import ESTIMATED, MEASURED, SPLICED, Entry
+from levkas.database.catalogue import (
+    ESTIMATED,
+    MEASURED,
+    SPLICED,
+    DatabaseRefused,
+    Entry,
+    read_catalogue,
+    write_catalogue,
+)
+from levkas.database.containment import check_plain_names
 from levkas.database.credits import Credits
 from levkas.database.described import describe_pages
-from levkas.database.layout import KINDS, SIGMA, STEP, LayerId
+from levkas.database.layout import KINDS, MADE_OF, SIGMA, STEP, LayerId
 from levkas.database.preview import encode_png
 from levkas.database.spectral_tiff import THREADS, PageSpool, TiffHeader, write_encoded_pages
-from levkas.database.store import writing_layer
+from levkas.database.store import write_index, writing_layer
 from levkas.database.tiff_pages import open_pages
 
 if TYPE_CHECKING:
@@ -103,7 +113,6 @@ def write_layer(
     picture = _Picture(rows, find_rendering(rows.bands, encoded=encoded), white)
     with (
         together(),
-        _spooled(base, rows) as spools,
         writing_layer(
             group.parent,
             group.name,
@@ -114,15 +123,14 @@ def write_layer(
         ) as store,
         ThreadPoolExecutor(1, thread_name_prefix="store") as beside,
     ):
-        for block in made_ahead(rows.blocks):
-            part = _rounded(block)
+
+        def pass_on(part: Cube) -> Future[None]:
             stored = beside.submit(store.write_rows, part.values, part.flags, part.sigma)
-            for kind, spool in spools.items():
-                spool.write_rows(getattr(part, kind))
             picture.paint(part.values)
-            stored.result()
-            del block, part  # before the rows after the next are made
-        written = _finish(base, layer, rows, spools, picture)
+            return stored
+
+        blocks = (_rounded(block) for block in rows.blocks)
+        written = _write_tiffs(base, layer, rows, blocks, pass_on, picture)
         png = base.with_name(base.name + ".png")
         _write_png(png, picture.rgb, picture.description, facts.get("px_per_mm"))
     written += [png, *sorted(p for p in group.rglob("*") if p.is_file())]
@@ -139,12 +147,54 @@ def write_tiffs(base: Path, layer: Layer, rows: Cube | CubeRows) -> list[Path]:
 
     Also for the native files of single sensors.
     """
-    with _spooled(base, rows) as spools:
-        for block in made_ahead(rows.blocks):
+    return _write_tiffs(base, layer, rows, rows.blocks)
+
+
+def _write_tiffs(
+    base: Path,
+    layer: Layer,
+    rows: Cube | CubeRows,
+    blocks: Iterable[Cube],
+    pass_on: Callable[[Cube], Future[None]] | None = None,
+    picture: _Picture | None = None,
+) -> list[Path]:
+    """Spool blocks of rows, pass them on to what is written beside, and write the TIFFs; an older .sigma.tif goes where the noise is not known any more."""
+    paths = {kind: base.with_name(base.name + ending) for kind, ending in KINDS.items()}
+    if not rows.has_sigma:
+        stale = paths.pop("sigma")
+    with ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor(count_threads(THREADS)))
+        spools = {}
+        for kind, path in paths.items():
+            handle = stack.enter_context(spooling(path.parent, path.name))
+            spools[kind] = PageSpool(handle, rows.shape, DTYPES[kind], pool)
+        for block in made_ahead(blocks):
+            beside = pass_on(block) if pass_on else None
             for kind, spool in spools.items():
                 spool.write_rows(getattr(block, kind))
-            del block
-        return _finish(base, layer, rows, spools)
+            if beside:
+                beside.result()
+            del block, beside  # before the rows after the next are made
+        facts = layer.attributes(rows.quantity, rows.bands)
+        rendering = {"rendering": picture.description} if picture else {}
+        more = {
+            "values": {**rendering, **layer.facts_of_values(sigma=rows.has_sigma)},
+            "flags": {"quantity": "flags"},
+            "sigma": {"quantity": f"sigma of {rows.quantity}"},
+        }
+        for kind, spool in spools.items():
+            header = TiffHeader(
+                *(rows.shape[:2], centres_of(rows.bands, layer.centroids)),
+                *(_describe_bands(rows.bands, {**facts, **more[kind]}), DTYPES[kind]),
+                rgb=picture.rgb if picture and kind == "values" else None,
+                px_per_mm=facts.get("px_per_mm"),
+                credits=layer.credits,
+            )
+            write_encoded_pages(paths[kind], spool.pages(), header)
+            spool.drop()  # the next pages may need its space
+    if not rows.has_sigma and stale.is_file():
+        remove(stale)
+    return [*paths.values()]
 
 
 def _rounded(cube: Cube) -> Cube:
@@ -174,53 +224,6 @@ class _Picture:
     def description(self) -> str:
         shown = f"; counts, {self._white:g} shown as white" if self._counts else ""
         return f"{self._rendering.description}{shown}"
-
-
-def _path(base: Path, kind: str) -> Path:
-    return base.with_name(base.name + KINDS[kind])
-
-
-@contextmanager
-def _spooled(base: Path, rows: Cube | CubeRows) -> Iterator[dict[str, PageSpool]]:
-    """Spool values, flags and, where it is known, sigma of one layer or sensor, for `_finish`."""
-    with ExitStack() as stack:
-        pool = stack.enter_context(ThreadPoolExecutor(count_threads(THREADS)))
-        spools = {}
-        for kind in KINDS:
-            if kind != "sigma" or rows.has_sigma:
-                handle = stack.enter_context(spooling(base.parent, _path(base, kind).name))
-                spools[kind] = PageSpool(handle, rows.shape, DTYPES[kind], pool)
-        yield spools
-
-
-def _finish(
-    base: Path,
-    layer: Layer,
-    rows: Cube | CubeRows,
-    spools: Mapping[str, PageSpool],
-    picture: _Picture | None = None,
-) -> list[Path]:
-    """Write the TIFFs of what was spooled; an older .sigma.tif goes where the noise is not known any more."""
-    facts = layer.attributes(rows.quantity, rows.bands)
-    rendering = {"rendering": picture.description} if picture else {}
-    more = {
-        "values": {**facts, **rendering, **layer.facts_of_values(sigma=rows.has_sigma)},
-        "flags": {**facts, "quantity": "flags"},
-        "sigma": {**facts, "quantity": f"sigma of {rows.quantity}"},
-    }
-    for kind, spool in spools.items():
-        header = TiffHeader(
-            *(rows.shape[:2], centres_of(rows.bands, layer.centroids)),
-            *(_describe_bands(rows.bands, more[kind]), DTYPES[kind]),
-            rgb=picture.rgb if picture and kind == "values" else None,
-            px_per_mm=facts.get("px_per_mm"),
-            credits=layer.credits,
-        )
-        write_encoded_pages(_path(base, kind), spool.pages(), header)
-        spool.drop()  # the next pages may need its space
-    if "sigma" not in spools and (stale := _path(base, "sigma")).is_file():
-        remove(stale)
-    return [_path(base, kind) for kind in spools]
 
 
 def describe_files(
@@ -289,3 +292,63 @@ def _describe_bands(bands: Sequence[Band], facts: Mapping[str, Any]) -> str:
         "fwhm": [None if isnan(b.fwhm) else float(b.fwhm) for b in bands],
     }
     return json.dumps(record, ensure_ascii=False, allow_nan=False)
+
+
+@dataclass(frozen=True)
+class DerivedStep:
+    """One object whose layer was written."""
+
+    label: str
+    done: int
+    total: int
+    files: tuple[Path, ...]
+    finished: bool = True
+    state: str = "done"
+
+    @property
+    def line(self) -> str:
+        return f"{self.done}/{self.total} {self.label}"
+
+
+def write_derived(
+    root: Path,
+    layer: Layer,
+    rows: Cube | CubeRows,
+    sources: Sequence[LayerId],
+    record: Mapping[str, Any],
+    *,
+    verdict: str,
+) -> tuple[Path, ...]:
+    """Write a layer made from others, with the record of what it was made of, and list it; one of its name is replaced.
+
+    The manifest is left to `database.manifest.write_manifest`, once for all layers.
+    """
+    entry, written = write_layer(root, layer, rows, verdict=verdict)
+    path = root / f"{layer.id.path}{MADE_OF[layer.kind]}"
+    hashes = {source.name: hash_file(root / f"{source.path}.tif") for source in sources}
+    write_json(path, {"kind": layer.kind, **(layer.made_of or {}), "sources": hashes, **record})
+    others = [e for e in read_catalogue(root) if e.layer != entry.layer]
+    write_catalogue(root, [*others, entry])
+    write_index((root / layer.id.group).parent)
+    return (*written, path)
+
+
+def check_new_layer(
+    root: Path, layer: str, having: Sequence[str], objects: Sequence[str], *, kind: str, field: str
+) -> None:
+    """Refuse a name that a layer of another kind has, or that files cannot have, and objects that are not among those `having` the sources.
+
+    `field` is the argument that names the layer. Raises DatabaseRefused.
+    """
+    try:
+        check_plain_names(layer)
+    except ValueError as error:
+        raise DatabaseRefused(Problem("E_VALUE", str(error), field=field, found=layer)) from None
+    if layer in {e.camera for e in read_catalogue(root) if e.kind != kind}:
+        what = f"the database has another layer {layer!r}; one that is {kind} must not replace it"
+        expected, fix = "a name that differs from all cameras", f"Name it {layer}-{kind}."
+        raise DatabaseRefused(Problem("E_EXISTS", what, str(root), field, layer, expected, fix))
+    if unknown := [name for name in objects if name not in having]:
+        what, near = "this object lacks the layers", closest_match(unknown[0], having)
+        facts = ("--object", unknown[0], ", ".join(having), near)
+        raise DatabaseRefused(Problem("E_VALUE", what, str(root), *facts))

@@ -52,10 +52,11 @@ def read_registration(path: Path, *, needed: tuple[str, ...] = ()) -> dict[str, 
     field = ""
     try:
         for field, (kinds, check), part in _parts(record):
-            if part is not None or field in needed:
-                if not isinstance(part, kinds):
-                    raise TypeError("it is missing or of another kind")
-                check(part)
+            if part is None and field in CHECKS and field not in needed:
+                continue
+            if not isinstance(part, kinds):
+                raise TypeError("it is missing or of another kind")
+            check(part)
     except WRONG as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         what, fix = f"{path.name} is not a registration record: {reason}", "Copy the file again."
@@ -80,7 +81,8 @@ def _parts(record: dict[str, Any]) -> Iterator[tuple[str, Check, Any]]:
     """Yield (field, how it is checked, part)."""
     yield from ((key, check, record.get(key)) for key, check in CHECKS.items())
     for tile, part in {"": record, **(record.get("tiles") or {})}.items():
-        yield f"verdict {tile}", CHECKS["verdict"], part.get("verdict")
+        if tile:
+            yield f"verdict of {tile}", CHECKS["verdict"], part.get("verdict")
         for label, band in (part.get("bands") or {}).items():
             yield f"bands: {tile} {label}", CHECKS["grid"], band
 
@@ -100,9 +102,7 @@ def _check_frame(part: Any) -> None:
 
 
 def _check_verdict(part: Any) -> None:
-    if not isinstance(part.get("decision", ""), str) or not isinstance(
-        part.get("reasons", []), list
-    ):
+    if (type(part.get("decision", "")), type(part.get("reasons", []))) != (str, list):
         raise TypeError("it is not text")
     if any(len(cell) != 4 for cell in unconfirmed_cells({"verdict": part})):
         raise TypeError("a cell is not a rectangle")

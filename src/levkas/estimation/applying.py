@@ -17,8 +17,7 @@ from levkas.core.digests import hash_file
 from levkas.core.machine import steady_libraries
 from levkas.database.catalogue import ESTIMATED
 from levkas.database.credits import Credits
-from levkas.database.derived import DerivedStep, check_new_layer, write_derived
-from levkas.database.layers import Layer
+from levkas.database.layers import DerivedStep, Layer, check_new_layer, write_derived
 from levkas.database.layout import LayerId
 from levkas.database.manifest import write_manifest
 from levkas.database.reader import Database
