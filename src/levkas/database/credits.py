@@ -28,19 +28,16 @@ class Credits:
     def to_xmp(self) -> bytes:
         """Return an XMP packet in Dublin Core, UTF-8; empty where nothing is known.
 
-        Examples
-        --------
         >>> b"<dc:rights>" in Credits(rights="CC BY 4.0").to_xmp()
         True
         """
         language = '<rdf:Alt><rdf:li xml:lang="x-default">{}</rdf:li></rdf:Alt>'
         sequence = "<rdf:Seq><rdf:li>{}</rdf:li></rdf:Seq>"
-        forms = {"creator": sequence, "date": sequence}
-        names = ("title", "creator", "date", "rights", "description")
+        forms = {"title": language, "creator": sequence, "date": sequence}
         facts = "".join(
-            f"<dc:{name}>{forms.get(name, language).format(_xml(value))}</dc:{name}>"
-            for name in names
-            if (value := getattr(self, name))
+            f"<dc:{name}>{form.format(_xml(getattr(self, name)))}</dc:{name}>"
+            for name, form in {**forms, "rights": language, "description": language}.items()
+            if getattr(self, name)
         )
         if not facts:
             return b""

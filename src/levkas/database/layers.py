@@ -17,7 +17,7 @@ from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.digests import hash_file
 from levkas.core.files import remove, spooling, together, write_bytes, write_json
 from levkas.core.machine import count_threads
-from levkas.core.problems import Problem, closest_match
+from levkas.core.problems import Problem, unknown_name
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
 from levkas.core.threads import made_ahead
 from levkas.database.catalogue import (
@@ -349,6 +349,5 @@ def check_new_layer(
         expected, fix = "a name that differs from all cameras", f"Name it {layer}-{kind}."
         raise DatabaseRefused(Problem("E_EXISTS", what, str(root), field, layer, expected, fix))
     if unknown := [name for name in objects if name not in having]:
-        what, near = "this object lacks the layers", closest_match(unknown[0], having)
-        facts = ("--object", unknown[0], ", ".join(having), near)
-        raise DatabaseRefused(Problem("E_VALUE", what, str(root), *facts))
+        what, more = "this object lacks the layers", {"file": str(root), "field": "--object"}
+        raise DatabaseRefused(unknown_name(what, unknown[0], having, **more))

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.cube import find_band
-from levkas.core.problems import Problem, Refused, closest_match
+from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.core.text import missing_path
 from levkas.database.catalogue import database_of
 from levkas.database.containment import check_inside, is_plain_name
@@ -147,10 +147,7 @@ class Records:
         if not is_plain_name(name) or not self.folder.is_dir():
             found = database.glob("objects/*/registration/*.json")
             there = sorted({p.parent.parent.name for p in found})
-            expected = ", ".join(there) or "a database with registration records"
-            what = f"there is no registered object {name!r}"
-            facts = (str(database), None, name, expected, closest_match(name, there))
-            raise MappingRefused(Problem("E_KEY", what, *facts))
+            raise _unknown(f"there is no registered object {name!r}", name, there, database)
         self.layers = {p.stem: p for p in sorted(self.folder.glob("*.json"))}
         check_inside(database, *self.layers.values())
         self._read = dict(known or {})
@@ -175,7 +172,7 @@ class Records:
     def entry(self, frame: Frame) -> dict[str, Any]:
         record = self._record(frame)
         labels = list(record["bands"])
-        label = labels[find_band(labels, frame.band)] if frame.band else _reference_channel(record)
+        label = labels[find_band(labels, frame.band or _frame(record.get("target")).band)]
         if not frame.tile:
             return dict(record["bands"][label])
         tiles, placed = record.get("tiles", {}), self.tiles(frame)
@@ -183,10 +180,8 @@ class Records:
             return dict(tiles[frame.tile]["bands"][label])
         left_out = tiles.get(frame.tile, {}).get("verdict", {}).get("reasons", [])
         why = f"was left out: {' '.join(left_out)}" if frame.tile in tiles else "is not there"
-        expected = ", ".join(placed) or f"{frame.layer}, which has no tiles"
-        what, file = f"tile {frame.tile} of {frame.layer} {why}", str(self.layers[frame.layer])
-        facts = (file, None, str(frame), expected, closest_match(frame.tile, placed))
-        raise MappingRefused(Problem("E_KEY", what, *facts))
+        what = f"tile {frame.tile} of {frame.layer} {why}"
+        raise _unknown(what, frame.tile, placed, self.layers[frame.layer])
 
     def tiles(self, frame: Frame) -> list[str]:
         """Return the names of the tiles of a layer that were placed; none where it has no tiles."""
@@ -205,10 +200,8 @@ class Records:
 
     def _record(self, frame: Frame) -> dict[str, Any]:
         if frame.layer not in self.layers:
-            there = [GRID, *self.layers]
-            what, near = f"{self.name} has no frame {frame}", closest_match(frame.layer, there)
-            facts = (str(self.folder), None, str(frame), ", ".join(there), near)
-            raise MappingRefused(Problem("E_KEY", what, *facts))
+            what, there = f"{self.name} has no frame {frame}", [GRID, *self.layers]
+            raise _unknown(what, frame.layer, there, self.folder)
         record = self.load(frame.layer)
         verdict = record.get("verdict", {})
         if verdict.get("decision") == "refuse" or not record.get("bands"):
@@ -219,13 +212,8 @@ class Records:
         return record
 
 
-def _reference_channel(record: dict[str, Any]) -> str:
-    label = _frame(record.get("target")).band
-    if label in record["bands"]:
-        return label
-    what, found = "the record does not name the reference channel", str(record.get("target"))
-    facts = (None, "target", found, ", ".join(record["bands"]), "Name a band: CAMERA:BAND.")
-    raise MappingRefused(Problem("E_KEY", what, *facts))
+def _unknown(what: str, name: str, known: Iterable[str], file: Path) -> MappingRefused:
+    return MappingRefused(unknown_name(what, name, known, code="E_KEY", file=str(file)))
 
 
 def _frame(value: Any) -> Frame:

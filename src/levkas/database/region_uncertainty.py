@@ -112,11 +112,11 @@ def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, x
     for row in budget.sources:
         if not row.size or row.common_to == "pixel":
             continue
-        what = "part of sigma, common to a region of one paint, by {}"
+        what = (
+            "part of sigma, common to a region," if row.unit == "sigma" else "standard uncertainty"
+        )
         attributes: dict[str, Any] = {
-            "long_name": (what if row.unit == "sigma" else "standard uncertainty by {}").format(
-                row.name
-            ),
+            "long_name": f"{what} by {row.name}",
             "units": UNITS.get(row.unit, row.unit),
             "pdf_shape": "gaussian",
             "common_to": row.common_to,
