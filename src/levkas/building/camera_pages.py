@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.campaign.discovery.file_index import FileIndex
-    from levkas.core.cube import Band
     from levkas.pages.budget import UncertaintyBudget
     from levkas.quality.targets.edges import EdgeTargetMeasure
     from levkas.quality.targets.measuring import ChartMeasure
@@ -83,27 +82,186 @@ def camera_pages(
 def write_camera_page(page: CameraPage, outcomes: Outcomes, templates: TemplateCache) -> Written:
     """Write a camera's page, its description and its charts; raises Refused."""
     campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
-    path = places.output / "cameras" / page.camera / "report.html"
-    make_folder(path.parent)
-    measured = measured_of(page, records)
-    measures, problems, files, strayed = _measured(page, outcomes, templates)
-    budgets = budgets_of(page, campaign, measured, strayed)
-    shown = [(s, _describe_budget(rows, page.first, measured[s])) for s, rows in budgets.items()]
-    write_text(
-        path, _page(page.camera, campaign, measured, measures, problems, shown, bool(strayed))
-    )
-    described = path.parent / "camera.json"
-    write_json(described, describe_camera(campaign, page.first, measured, budgets))
-    files += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
+    folder = places.output / "cameras" / page.camera
+    make_folder(folder)
+    measured = _measured_of(page, records)
+    charts = _measure_charts(page, outcomes, templates, measured)
+    captures = {capture.setup: capture for capture in reversed(page.captures)}
+    found = {
+        setup: budget_of(campaign, captures[setup], facts, _under(setup, charts.strayed))
+        for setup, facts in measured.items()
+    }
+    budgets = {setup: rows for setup, rows in found.items() if rows}
+    write_text(folder / "report.html", _page(page, campaign, measured, budgets, charts))
+    described = _describe_camera(campaign, page.first, measured, budgets)
+    write_json(folder / "camera.json", described)
+    files = [folder / "report.html", folder / "camera.json", *charts.files]
+    files += _write_sensitivity(folder, campaign, page.first)
     stay = _charts_that_stay(page, outcomes, files)
     files += [path for paths in stay.values() for path in paths]
     # A chart that cannot be measured is no fault of the objects: reported, not refused.
     warnings = (
         *(f"charts/{name}: of an earlier build: not measured now" for name in stay),
-        *(written(campaign, problem) for problem in problems),
-        *(f"{m.name}: {m.stray_light}" for m in measures if m.stray_light),
+        *(written(campaign, problem) for problem in charts.problems),
+        *(f"{m.name}: {m.stray_light}" for m in charts.measures if m.stray_light),
     )
-    return Written(files, {"warnings": list(warnings), "stray_light": strayed}, warnings=warnings)
+    notes = {"warnings": list(warnings), "stray_light": charts.strayed}
+    return Written(files, notes, warnings=warnings)
+
+
+# --- what it is made of -------------------------------------------------------------------------
+
+
+def prints_of_page(page: CameraPage, outcomes: Outcomes) -> dict[str, Any]:
+    """Return the fingerprint of a camera's page."""
+    campaign, records = outcomes.campaign, outcomes.records
+    refused = [written(campaign, problem) for problem in page.refused]
+    prints = {**made_with(), **_measured_in(page, outcomes), "charts refused": refused}
+    for capture in (*page.captures, *page.charts):
+        bare = replace(capture, object="")
+        prints |= read_by((CALIBRATE, CAMERA), campaign, bare, records.hashes)
+    prints["bands"] = [[b.label, str(b.wavelength), str(b.fwhm)] for b in page.first.bands]
+    prints["order of captures"] = [f"{c.object}/{c.layer}" for c in page.captures]
+    prints["sensors"] = [[s.name, s.pattern, len(s.bands)] for s in page.first.sensors]
+    return plain(prints | prints_of_charts(page, campaign, records))
+
+
+def prints_of_charts(page: CameraPage, campaign: Campaign, records: BuildRecords) -> dict[str, Any]:
+    """Return what the charts that a camera saw are made of."""
+    prints: dict[str, Any] = {}
+    for capture in page.charts:
+        name = f"chart {capture.object}/{capture.layer}"
+        prints[name] = digest(of_calibration(campaign, capture, records.hashes))
+        prints[f"{name} kind"] = campaign.targets.charts[capture.object]
+        if named := edges_of(campaign, capture):
+            prints[f"{name} edges"] = [[s, [list(p.box) for p in e]] for s, e in named.items()]
+    return prints
+
+
+def _measured_in(page: CameraPage, outcomes: Outcomes) -> dict[str, Any]:
+    """Return the calibrations that `_measured_of` takes its measurements from, and what each is made of.
+
+    A calibration that is to be done again is another one: what it will measure need not be known.
+    """
+    records, found, known = outcomes.records, dict[str, Any](), set[str]()
+    for capture in page.captures:
+        key = key_of(capture, "calibrate")
+        lost = outcomes.lost.get(key.of)
+        made_of = "" if lost and lost.key == key else outcomes.inputs.digests.get(key, "")
+        if not made_of and (earlier := records.fingerprint(key)):
+            made_of = digest(earlier)
+        if capture.setup in known or not made_of:
+            continue
+        found[f"sensor and light, by {capture.object}/{capture.layer}"] = made_of
+        if any(_of_camera(records, key).values()):
+            known.add(capture.setup)
+    return found
+
+
+def _measured_of(page: CameraPage, records: BuildRecords) -> dict[str, dict[str, Any]]:
+    """Return the measurements of sensor and light by the first capture of each setup, by setup."""
+    found: dict[str, dict[str, Any]] = {}
+    for capture in page.captures:
+        of_camera = _of_camera(records, key_of(capture, "calibrate"))
+        if capture.setup not in found and any(of_camera.values()):
+            found[capture.setup] = of_camera
+    return found
+
+
+def _of_camera(records: BuildRecords, key: Key) -> dict[str, dict[str, Any]]:
+    """Return what a calibration measured of sensors and light, by sensor."""
+    return {
+        sensor: {name: value for name, value in one.items() if name != "sensels"}
+        for sensor, one in records.notes(key).get("measured", {}).items()
+    }
+
+
+# --- charts -------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Charts:
+    """The charts that a camera saw, measured and written, and the stray light that they show, by setup."""
+
+    problems: list[Problem]
+    measures: list[ChartMeasure | EdgeTargetMeasure] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+    strayed: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+def stray_light_of(records: BuildRecords, capture: Capture) -> Mapping[str, Any]:
+    """Return the stray light that charts showed of a capture's camera, under its setup where they were captured so; empty without any."""
+    return _under(capture.setup, records.notes(page_key(capture.camera)).get("stray_light", {}))
+
+
+def _under(setup: str, strayed: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Any]:
+    """Return the stray light under a setup, else under the first one."""
+    return strayed.get(setup) or next(iter(strayed.values()), {})
+
+
+def _measure_charts(
+    page: CameraPage, outcomes: Outcomes, templates: TemplateCache, measured: Mapping[str, Any]
+) -> _Charts:
+    from levkas.stages.charts import folder_of_frames, problems_of
+
+    records, made = outcomes.records, _Charts(list(page.refused))
+    for capture in page.charts:
+        name = f"{capture.object}/{capture.layer}"
+        key = key_of(capture, f"chart-{capture.object}")
+        records.drop_report(key)
+        light = _evenness(measured.get(capture.setup, {}))
+        try:
+            _measure_chart(name, capture, outcomes, templates, light, made)
+        except WriteRefused:
+            raise
+        except Exception as error:
+            refused = as_refusal(error, f"chart {name}", capture.sensors[0].object[0].path)
+            reported = records.with_report(key, refused).problems
+            made.problems += problems_of(name, folder_of_frames(capture), reported)
+    return made
+
+
+def _measure_chart(
+    name: str,
+    capture: Capture,
+    outcomes: Outcomes,
+    templates: TemplateCache,
+    light: WhiteEvenness | None,
+    made: _Charts,
+) -> None:
+    from levkas.quality.targets.charts import kind_of, reference_of
+    from levkas.quality.targets.measuring import ChartMeasure
+    from levkas.stages.charts import (
+        develop_chart,
+        folder_of_frames,
+        measure_chart,
+        problems_of,
+        stray_light_in,
+        write_chart,
+    )
+
+    campaign = outcomes.campaign
+    chart = kind_of(campaign.targets.charts[capture.object])
+    developed = develop_chart(capture, campaign, templates)
+    spectra = reference_of(chart) if chart else None
+    found = measure_chart(name, developed, chart, spectra, evenness=light)
+    if campaign.cameras[capture.camera].white_chart and isinstance(found, ChartMeasure):
+        found = replace(found, notes=(*found.notes, BY_ITSELF))
+    made.measures.append(found)
+    if shown := stray_light_in(developed, found):  # a trap shows more than a chart's black
+        before = {} if developed.trapped else made.strayed.get(capture.setup, {})
+        made.strayed[capture.setup] = shown | before
+    made.problems += problems_of(name, folder_of_frames(capture), found.edges.problems)
+    made.files += write_chart(outcomes.places, campaign, capture, developed, found)
+
+
+def _evenness(measured: Mapping[str, Any]) -> WhiteEvenness | None:
+    """Return how even the white is in its worst channel, from the maps that captures of objects left."""
+    fields = [light for one in measured.values() for light in one.get("light", {}).values()]
+    drawn = [lightness_spread(levels_of(field)) for field in fields if "levels" in field]
+    if not drawn:
+        return None
+    return WhiteEvenness(min(f["uniformity"] for f in fields if "uniformity" in f), max(drawn))
 
 
 def _charts_that_stay(
@@ -119,236 +277,61 @@ def _charts_that_stay(
     return {s: [p for p in left if p.name.startswith((f"{s}.", f"{s}_"))] for s in sorted(gone)}
 
 
-def stray_light_of(records: BuildRecords, capture: Capture) -> Mapping[str, Any]:
-    """Return the stray light that charts showed of a capture's camera, under its setup where they were captured so; empty without any."""
-    return _under(capture.setup, records.notes(page_key(capture.camera)).get("stray_light", {}))
-
-
-def _under(setup: str, strayed: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Any]:
-    """Return the stray light under a setup, else under the first one."""
-    return strayed.get(setup) or next(iter(strayed.values()), {})
-
-
-def prints_of_page(page: CameraPage, outcomes: Outcomes) -> dict[str, Any]:
-    """Return the fingerprint of a camera's page."""
-    campaign, records = outcomes.campaign, outcomes.records
-    first = page.first
-    prints: dict[str, Any] = {
-        **made_with(),
-        **_measured_in(page, outcomes),
-        "charts refused": [written(campaign, p) for p in page.refused],
-    }
-    for capture in (*page.captures, *page.charts):
-        bare = replace(capture, object="")
-        prints |= read_by((CALIBRATE, CAMERA), campaign, bare, records.hashes)
-    prints["bands"] = [[b.label, str(b.wavelength), str(b.fwhm)] for b in first.bands]
-    prints["order of captures"] = [f"{c.object}/{c.layer}" for c in page.captures]
-    prints["sensors"] = [[s.name, s.pattern, len(s.bands)] for s in first.sensors]
-    return plain(prints | prints_of_charts(page, campaign, records))
-
-
-def prints_of_charts(page: CameraPage, campaign: Campaign, records: BuildRecords) -> dict[str, Any]:
-    """Return what the charts that a camera saw are made of."""
-    prints: dict[str, Any] = {}
-    for capture in page.charts:
-        name = f"chart {capture.object}/{capture.layer}"
-        fingerprint = of_calibration(campaign, capture, records.hashes)
-        prints[name] = digest(fingerprint)
-        prints[f"{name} kind"] = campaign.targets.charts[capture.object]
-        if named := edges_of(campaign, capture):
-            prints[f"{name} edges"] = [[s, [list(p.box) for p in e]] for s, e in named.items()]
-    return prints
-
-
-def _measured_in(page: CameraPage, outcomes: Outcomes) -> dict[str, str]:
-    """Return the calibrations that `measured_of` takes its measurements from, and what each is made of.
-
-    A calibration that is to be done again is another one: what it will measure need not be known.
-    """
-    records, inputs, lost = outcomes.records, outcomes.inputs, outcomes.lost
-    found: dict[str, str] = {}
-    known = set()
-    for capture in page.captures:
-        key = key_of(capture, "calibrate")
-        step = lost.get((capture.object, capture.layer))
-        made_of = "" if step is not None and step.key == key else inputs.digests.get(key, "")
-        if not made_of and (earlier := records.fingerprint(key)):
-            made_of = digest(earlier)
-        if capture.setup in known or not made_of:
-            continue
-        found[f"sensor and light, by {capture.object}/{capture.layer}"] = made_of
-        if any(_of_camera(records, key).values()):
-            known.add(capture.setup)
-    return found
-
-
-def measured_of(page: CameraPage, records: BuildRecords) -> dict[str, dict[str, Any]]:
-    """Return the measurements of sensor and light by the first capture of each setup, by setup."""
-    found: dict[str, dict[str, Any]] = {}
-    for capture in page.captures:
-        if capture.setup not in found:
-            of_camera = _of_camera(records, key_of(capture, "calibrate"))
-            if any(of_camera.values()):
-                found[capture.setup] = of_camera
-    return found
-
-
-def budgets_of(
-    page: CameraPage,
-    campaign: Campaign,
-    measured: Mapping[str, Mapping[str, Mapping[str, Any]]],
-    strayed: Mapping[str, Mapping[str, Any]],
-) -> dict[str, tuple[ErrorSource, ...]]:
-    """Return the uncertainty budget of the camera's values under each setup that has one; `strayed` is the stray light of its charts."""
-    captures = {capture.setup: capture for capture in reversed(page.captures)}
-    found = {
-        s: budget_of(campaign, captures[s], facts, _under(s, strayed))
-        for s, facts in measured.items()
-    }
-    return {setup: rows for setup, rows in found.items() if rows}
-
-
-def _describe_budget(
-    rows: Sequence[ErrorSource], first: Capture, measured: Mapping[str, Mapping[str, Any]]
-) -> UncertaintyBudget | None:
-    """Return table and plot of a budget, of values as bright as the mean of the view, or of `GREY` where that is not known."""
-    from levkas.pages.budget import describe_budget
-
-    levels = {band.label: GREY for band in first.bands}
-    levels |= {
-        label: at for one in measured.values() for label, at in one.get("mean_of_view", {}).items()
-    }
-    noise = {
-        label: float(
-            np.linalg.norm([row.size.get(label, 0.0) for row in rows if row.common_to == "pixel"])
-        )
-        for label in levels
-    }
-    return describe_budget(rows, first.bands, levels, noise)
-
-
-def _of_camera(records: BuildRecords, key: Key) -> dict[str, dict[str, Any]]:
-    """Return what a calibration measured of sensors and light, by sensor."""
-    return {
-        sensor: {name: value for name, value in one.items() if name != "sensels"}
-        for sensor, one in records.notes(key).get("measured", {}).items()
-    }
-
-
-def _measured(
-    page: CameraPage, outcomes: Outcomes, templates: TemplateCache
-) -> tuple[
-    list[ChartMeasure | EdgeTargetMeasure], list[Problem], list[Path], dict[str, dict[str, Any]]
-]:
-    """Measure the charts that a camera saw, and write them; return also the stray light that they show, by setup."""
-    from levkas.quality.targets.charts import kind_of, reference_of
-    from levkas.quality.targets.measuring import ChartMeasure
-    from levkas.stages.charts import (
-        develop_chart,
-        folder_of_frames,
-        measure_chart,
-        problems_of,
-        stray_light_in,
-        write_chart,
-    )
-
-    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
-    measured = measured_of(page, records)
-    files: list[Path] = []
-    measures: list[ChartMeasure | EdgeTargetMeasure] = []
-    problems = list(page.refused)
-    strayed: dict[str, dict[str, Any]] = {}
-    for capture in page.charts:
-        name = f"{capture.object}/{capture.layer}"
-        key = key_of(capture, f"chart-{capture.object}")
-        records.drop_report(key)
-        light = _evenness(measured.get(capture.setup, {}))
-        try:
-            chart = kind_of(campaign.targets.charts[capture.object])
-            developed = develop_chart(capture, campaign, templates)
-            spectra = reference_of(chart) if chart else None
-            found = measure_chart(name, developed, chart, spectra, evenness=light)
-            white = campaign.cameras[page.camera].white_chart
-            if white is not None and isinstance(found, ChartMeasure):
-                found = replace(found, notes=(*found.notes, BY_ITSELF))
-            measures.append(found)
-            if shown := stray_light_in(developed, found):  # a trap shows more than a chart's black
-                strayed[capture.setup] = shown | (
-                    strayed.get(capture.setup, {}) if not developed.trapped else {}
-                )
-            problems += problems_of(name, folder_of_frames(capture), found.edges.problems)
-            files += write_chart(places, campaign, capture, developed, found)
-        except WriteRefused:
-            raise
-        except Exception as error:
-            refused = as_refusal(error, f"chart {name}", capture.sensors[0].object[0].path)
-            reported = records.with_report(key, refused).problems
-            problems += problems_of(name, folder_of_frames(capture), reported)
-    return measures, problems, files, strayed
-
-
-def _evenness(measured: Mapping[str, Any]) -> WhiteEvenness | None:
-    """Return how even the white is in its worst channel, from the maps that captures of objects left."""
-    fields = [
-        light for of_sensor in measured.values() for light in of_sensor.get("light", {}).values()
-    ]
-    drawn = [lightness_spread(levels_of(field)) for field in fields if "levels" in field]
-    if not drawn:
-        return None
-    return WhiteEvenness(min(f["uniformity"] for f in fields if "uniformity" in f), max(drawn))
+# --- the page and the description ---------------------------------------------------------------
 
 
 def _page(
-    camera: str,
+    page: CameraPage,
     campaign: Campaign,
     measured: Mapping[str, Mapping[str, Any]],
-    measures: Sequence[ChartMeasure | EdgeTargetMeasure],
-    problems: Sequence[Problem],
-    budgets: Sequence[tuple[str, UncertaintyBudget | None]],
-    strayed: bool,
+    budgets: Mapping[str, Sequence[ErrorSource]],
+    charts: _Charts,
 ) -> str:
-    """Return the HTML of a camera's page; `strayed` is whether stray light was measured."""
+    """Return the HTML of a camera's page."""
     from levkas.calibration.sensor import spread
     from levkas.pages.charts import describe_chart
     from levkas.pages.page import render_page
     from levkas.pages.radiometry import draw_light
 
     sensors, lights, figures, notes, whites = [], [], [], [], []
-    for setup, of_sensors in measured.items():
-        for sensor, of_sensor in of_sensors.items():
-            name = " ".join(part for part in (setup, sensor) if part)
-            if "sensor" in of_sensor:
-                sensors.append((name or "the only one", of_sensor["sensor"]))
-            bands = of_sensor.get(CHART_WHITE, {}).get("bands", {})
-            whites += [(f"{name} {label}".strip(), band) for label, band in bands.items()]
-            fields = of_sensor.get("light", {})
-            shown = {*spread(list(fields), FEW_BANDS)}
-            shown |= {label for label, light in fields.items() if "refused" in light}
-            lights += [(f"{name} {b}".strip(), f) for b, f in fields.items() if b in shown]
-            lamps = of_sensor.get("lamp", {}).values()
-            if fields:
-                known = any(one["white"] is not None for one in lamps)
-                notes.append(LAMP_JUMP if known else LAMP_UNKNOWN)
-            if drawn := [label for label, light in fields.items() if "levels" in light]:
-                label = drawn[len(drawn) // 2]
-                what = f"{name} {label}".strip()
-                figures += draw_light(fields[label], levels_of(fields[label]), what)
-            strayed = strayed or "stray_light" in of_sensor
+    strayed = bool(charts.strayed)
+    for setup, sensor, found in (
+        (u, s, one) for u, by in measured.items() for s, one in by.items()
+    ):
+        name = " ".join(part for part in (setup, sensor) if part)
+        if "sensor" in found:
+            sensors.append((name or "the only one", found["sensor"]))
+        bands = found.get(CHART_WHITE, {}).get("bands", {})
+        whites += [(f"{name} {label}".strip(), band) for label, band in bands.items()]
+        fields = found.get("light", {})
+        shown = {
+            *spread(list(fields), FEW_BANDS),
+            *(b for b, f in fields.items() if "refused" in f),
+        }
+        lights += [(f"{name} {b}".strip(), f) for b, f in fields.items() if b in shown]
+        if fields:
+            known = any(one["white"] is not None for one in found.get("lamp", {}).values())
+            notes.append(LAMP_JUMP if known else LAMP_UNKNOWN)
+        if drawn := [label for label, light in fields.items() if "levels" in light]:
+            light = fields[label := drawn[len(drawn) // 2]]
+            figures += draw_light(light, levels_of(light), f"{name} {label}".strip())
+        strayed = strayed or "stray_light" in found
     if lights and not strayed:
         notes.append(NOT_MEASURED)
+    tables = ((s, _describe_budget(rows, page.first, measured[s])) for s, rows in budgets.items())
     return render_page(
         "camera.html",
         page={
-            "title": camera,
+            "title": page.camera,
             "sensors": sensors,
             "lights": lights,
             "notes": dict.fromkeys(notes),
             "figures": figures,
             "whites": whites,
-            "budgets": [one for one in budgets if one[1] is not None],
-            "charts": [describe_chart(m) for m in measures],
-            "problems": [{"code": p.code, "text": written(campaign, p)} for p in problems],
-            "footer": f"Levkas {__version__}. Camera {camera}; coordinates are in its native pixels.",
+            "budgets": [one for one in tables if one[1] is not None],
+            "charts": [describe_chart(m) for m in charts.measures],
+            "problems": [{"code": p.code, "text": written(campaign, p)} for p in charts.problems],
+            "footer": f"Levkas {__version__}. Camera {page.camera}; coordinates are in its native pixels.",
         },
     )
 
@@ -365,13 +348,24 @@ BY_ITSELF = (
     "the camera's white is a chart: the colours of that chart were fitted to the "
     "published ones, so only their held-out errors are a test"
 )
-PICTURES = ("levels", "shape", "step", "size")
-"""Of a light field: its map, which the camera's page shows."""
 
 
-def write_sensitivity(folder: Path, campaign: Campaign, capture: Capture) -> list[Path]:
+def _describe_budget(
+    rows: Sequence[ErrorSource], first: Capture, measured: Mapping[str, Mapping[str, Any]]
+) -> UncertaintyBudget | None:
+    """Return table and plot of a budget, of values as bright as the mean of the view, or of `GREY` where that is not known."""
+    from levkas.pages.budget import describe_budget
+
+    levels = {band.label: GREY for band in first.bands}
+    for one in measured.values():
+        levels |= one.get("mean_of_view", {})
+    own = [row.size for row in rows if row.common_to == "pixel"]
+    noise = {b: float(np.linalg.norm([size.get(b, 0.0) for size in own])) for b in levels}
+    return describe_budget(rows, first.bands, levels, noise)
+
+
+def _write_sensitivity(folder: Path, campaign: Campaign, capture: Capture) -> list[Path]:
     """Write cameras/CAMERA/sensitivity.csv, where one is declared: wavelength in nm, a column a channel."""
-    from levkas.core.files import write_text
     from levkas.stages.spectra import read_sensitivity
 
     declared = campaign.cameras[capture.camera].sensitivity
@@ -379,15 +373,14 @@ def write_sensitivity(folder: Path, campaign: Campaign, capture: Capture) -> lis
         return []
     labels = [band.label for band in capture.bands]
     wavelengths, table = read_sensitivity(campaign.root / declared, labels)
-    lines = [",".join(["wavelength", *labels])]
-    for wavelength, row in zip(wavelengths, table, strict=True):
-        lines.append(",".join(f"{number:.9g}" for number in (wavelength, *row)))
+    rows = ((w, *row) for w, row in zip(wavelengths, table, strict=True))
+    lines = (",".join(f"{number:.9g}" for number in row) for row in rows)
     path = folder / "sensitivity.csv"
-    write_text(path, "\n".join(lines) + "\n")
+    write_text(path, "\n".join([",".join(["wavelength", *labels]), *lines, ""]))
     return [path]
 
 
-def describe_camera(
+def _describe_camera(
     campaign: Campaign,
     capture: Capture,
     measured: Mapping[str, Mapping[str, Any]],
@@ -395,47 +388,33 @@ def describe_camera(
 ) -> dict[str, Any]:
     """Return cameras/CAMERA/camera.json: bands, sensors, what was measured of them and the uncertainty of values, by setup."""
     keys = campaign.cameras[capture.camera]
+
+    def known(nm: float) -> float | None:
+        return None if isnan(nm) else nm
+
     return {
         "camera": capture.camera,
-        "kind": keys.kind,
-        "bits": keys.bits,
-        "black": keys.black,
-        "saturation": keys.saturation,
-        "bands": _bands(capture.bands),
+        **{key: getattr(keys, key) for key in ("kind", "bits", "black", "saturation")},
+        "bands": [
+            {"label": b.label, "wavelength_nm": known(b.wavelength), "fwhm_nm": known(b.fwhm)}
+            for b in capture.bands
+        ],
         "sensors": [
-            {
-                "name": s.name,
-                "pattern": [list(row) for row in s.pattern] if s.pattern else None,
-                "bands": [band.label for band in s.bands],
-            }
+            {"name": s.name, "pattern": s.pattern, "bands": [band.label for band in s.bands]}
             for s in capture.sensors
         ],
         "measured": {
-            setup or "": _without_pictures(of_sensor) for setup, of_sensor in measured.items()
+            setup or "": {sensor: _without_maps(one) for sensor, one in by_sensor.items()}
+            for setup, by_sensor in measured.items()
         },
         "uncertainty": {s or "": [row.to_dict() for row in rows] for s, rows in budgets.items()},
     }
 
 
-def _bands(bands: Sequence[Band]) -> list[dict[str, Any]]:
-    return [
-        {
-            "label": b.label,
-            "wavelength_nm": None if isnan(b.wavelength) else b.wavelength,
-            "fwhm_nm": None if isnan(b.fwhm) else b.fwhm,
-        }
-        for b in bands
-    ]
-
-
-def _without_pictures(of_sensor: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        sensor: {
-            **{k: v for k, v in facts.items() if k != "light"},
-            "light": {
-                band: {k: v for k, v in light.items() if k not in PICTURES}
-                for band, light in facts.get("light", {}).items()
-            },
-        }
-        for sensor, facts in of_sensor.items()
+def _without_maps(found: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what was measured of a sensor without the maps of its light, which the page shows."""
+    maps = ("levels", "shape", "step", "size")
+    light = {
+        b: {k: v for k, v in f.items() if k not in maps} for b, f in found.get("light", {}).items()
     }
+    return {**found, "light": light}

@@ -10,7 +10,7 @@ from levkas.building.build_records import STAGES, key_of
 from levkas.core.files import write_json
 from levkas.core.problems import Refused
 from levkas.database.catalogue import entry_of
-from levkas.database.layout import Places, layer_name
+from levkas.database.layout import LayerId, Places, layer_name
 from levkas.database.registrations import (
     apply_confirmation,
     mm_per_px,
@@ -24,9 +24,8 @@ from levkas.registration.record import DECISIONS, decided
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
 
-    from levkas.building.build_records import BuildRecords
+    from levkas.building.build_records import BuildRecords, Key
     from levkas.building.graph import BuildReport, Step
     from levkas.campaign.discovery.captures import Capture
     from levkas.campaign.edits import Edits
@@ -38,13 +37,11 @@ def layer_verdicts(report: BuildReport) -> list[dict[str, Any]]:
     A layer that was refused at any stage has ``"refuse"`` and that stage. Of the reference camera, to
     which the others are registered, there are no errors.
     """
-    if report.output is None:
-        return []
-    layers: dict[tuple[str, str, str], list[Step]] = {}
-    for step in report.stages:
+    layers: dict[Key, list[Step]] = {}
+    for step in report.stages if report.output else ():
         if step.key.stage in STAGES:
-            layers.setdefault((step.key.object, step.key.camera, step.key.setup), []).append(step)
-    return [_row(report.output, *layer, steps) for layer, steps in sorted(layers.items())]
+            layers.setdefault(replace(step.key, stage=""), []).append(step)
+    return [_row(report, key, steps) for key, steps in sorted(layers.items())]
 
 
 def confirm_layers(
@@ -69,8 +66,8 @@ def confirm_layers(
 
 def verdict_lines(report: BuildReport) -> list[str]:
     """Return a line for each layer of which this build did a stage, and that was not refused: its verdict, error and doubts."""
-    done = {(s.key.object, s.key.layer) for s in report.stages if s.state == "done"}
-    new = tuple(s for s in report.stages if (s.key.object, s.key.layer) in done)
+    done = {s.key.of for s in report.stages if s.state == "done"}
+    new = tuple(s for s in report.stages if s.key.of in done)
     rows = layer_verdicts(replace(report, stages=new))
     return [_line(row) for row in rows if row["verdict"] not in ("refuse", "")]
 
@@ -80,14 +77,13 @@ def standing_lines(report: BuildReport) -> list[str]:
 
     A layer that a build would make anew has the verdict that it got before; one that was never built has no line.
     """
-    steps = (s for s in report.stages if s.state == "stale" and s.key.stage != "describe")
-    stale = {(s.key.object, s.key.layer) for s in steps}
+    stale = {s.key.of for s in report.stages if s.state == "stale" and s.key.stage != "describe"}
     lines = []
     for row in layer_verdicts(report):
         if "stage" in row:
-            lines.append(f"{_name(row)}: refused at {row['stage']}")
+            lines.append(_line(row, f"refused at {row['stage']}"))
         elif row["verdict"]:
-            old = (row["object"], layer_name(row["camera"], row["setup"])) in stale
+            old = LayerId(row["object"], row["camera"], row["setup"]) in stale
             lines.append(_line(row) + "; stale, verdict of the earlier build" * old)
     return lines
 
@@ -101,12 +97,9 @@ def report_line(report: BuildReport) -> str:
     return f"open in a browser: {report.output / 'objects' / name / 'report.html'}"
 
 
-def _name(row: Mapping[str, Any]) -> str:
-    return f"{row['object']}/{layer_name(row['camera'], row['setup'])}"
-
-
-def _line(row: Mapping[str, Any]) -> str:
-    return f"{_name(row)}: {describe_verdict(row)}"
+def _line(row: Mapping[str, Any], words: str = "") -> str:
+    name = f"{row['object']}/{layer_name(row['camera'], row['setup'])}"
+    return f"{name}: {words or describe_verdict(row)}"
 
 
 def describe_verdict(row: Mapping[str, Any]) -> str:
@@ -130,12 +123,10 @@ def describe_verdict(row: Mapping[str, Any]) -> str:
     return ": ".join([", ".join(parts), *(["; ".join(doubts)] if doubts else [])])
 
 
-def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]) -> dict[str, Any]:
-    row: dict[str, Any] = {"object": name, "camera": camera, "setup": setup}
-    lost = [step for step in steps if step.state == "refused"]
-    if lost:
-        first = next((step for step in lost if step.problems), lost[0])
-        problems = first.problems
+def _row(report: BuildReport, key: Key, steps: Sequence[Step]) -> dict[str, Any]:
+    row: dict[str, Any] = {"object": key.object, "camera": key.camera, "setup": key.setup}
+    if lost := sorted((s for s in steps if s.state == "refused"), key=lambda s: not s.problems):
+        first, problems = lost[0], lost[0].problems
         return row | {
             "verdict": "refuse",
             "stage": first.key.stage,
@@ -144,9 +135,9 @@ def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]
             "next_step": " ".join(dict.fromkeys(p.fix for p in problems if p.fix)),
             **({"earlier": first.earlier} if first.earlier else {}),
         }
-    path = Places(output).registration(name, layer_name(camera, setup))
+    assert report.output is not None
     try:
-        record = read_registration(path)
+        record = read_registration(Places(report.output).registration(key.object, key.layer))
     except Refused as refused:
         reasons = [p.message for p in refused.problems]
         return row | {"verdict": "", "reasons": reasons, "next_step": "Build again."}
@@ -158,29 +149,25 @@ def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]
         "next_step": verdict.get("next_step", ""),
         **{key: verdict[key] for key in ("confirmed",) if key in verdict},
         "method": record.get("method", ""),
-        **_errors(record),
+        **errors_of(record),
     }
 
 
-def _errors(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the held-out error, px of the reference and mm on the object, and what was not checked.
+def errors_of(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the held-out error, px of the reference and mm on the object, and what was not checked, of a registration's record.
 
-    The error is that of the area that was checked, and shares are of the layer. Of several sensors the largest
-    error and the smallest area.
+    The error is that of the area that was checked, and shares are of the layer; of several sensors it is the largest.
     """
-    sensors = [s for s in record.get("errors", {}).get("sensors", {}).values() if s]
-    px = [float(s["held_out_px"]) for s in sensors if _is_number(s.get("held_out_px"))]
-    worst = max(px, default=None)
-    scale = mm_per_px(record)
+    errors, numbers = record.get("errors", {}), record.get("verdict", {}).get("numbers") or {}
+    sensors = (*(errors.get("sensors") or {}).values(), *numbers.values())
+    px = [one.get("held_out_px") for one in sensors if isinstance(one, dict)]
+    worst = max((float(v) for v in px if isinstance(v, int | float) and isfinite(v)), default=None)
+    scale, unchecked = mm_per_px(record), unchecked_share(record)
     return {
         "held_out_px": worst,
         "held_out_mm": None if worst is None or scale is None else worst * scale,
-        "checked_share": None if worst is None else 1 - unchecked_share(record),
-        "unchecked_share": unchecked_share(record),
+        "checked_share": None if worst is None else 1 - unchecked,
+        "unchecked_share": unchecked,
         "outside_share": unchecked_share(record, "outside"),
         "unchecked_mm2": unchecked_mm2(record),
     }
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
