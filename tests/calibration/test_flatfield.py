@@ -70,7 +70,7 @@ def test_sigma_is_honest(sensor):
         average(sensor.shots(level, n, rng))
         for level, n in ((truth * sensor.white, 2), (0 * truth + sensor.white, 3), (0 * truth, 5))
     )
-    noise = fit_noise([shot, white, dark], dark)
+    noise = fit_noise([shot, white, dark], [dark])
     made = flat_field(shot, dark, white, noise=noise)
     z = (made.values - truth) / np.sqrt(made.variance)
     assert 0.98 < z.std() < 1.02

@@ -13,7 +13,7 @@ def ramp():
 def test_gain_and_read_noise_come_back_from_stacks(sensor, count):
     rng = np.random.default_rng(1)
     dark, white, icon = (average(sensor.shots(ramp() * scale, count, rng)) for scale in (0, 1, 0.3))
-    noise = fit_noise([dark, white, icon], dark)
+    noise = fit_noise([dark, white, icon], [dark])
     # 60,000 pixels: the slope is known to about 0.5 %; read² holds the 1/12 of rounding.
     assert noise.gain == pytest.approx(sensor.gain, rel=0.02)
     assert noise.read_variance == pytest.approx(sensor.read**2 + 1 / 12, rel=0.03)
@@ -26,7 +26,7 @@ def test_few_pixels_of_very_unlike_signal_show_their_noise():
     lines = light + rng.normal(0, np.sqrt(gain * light + read**2), (100, 1, *light.shape))
     dark = rng.normal(0, read, (100, 1, *light.shape))
     white, under = (average([*np.rint(150 + n).astype(np.uint16)]) for n in (lines, dark))
-    noise = fit_noise([white, under], under)
+    noise = fit_noise([white, under], [under])
     # 71,000 degrees of freedom: the slope is known to about 0.6 %, read² to 0.5 %.
     assert noise.gain == pytest.approx(gain, rel=0.03)
     assert noise.read_variance == pytest.approx(read**2 + 1 / 12, rel=0.03)
@@ -69,7 +69,7 @@ def test_single_shots_of_small_frames_of_unlike_paint_tell_their_noise(
         for light in (electrons * panel, electrons + 0 * panel)
     )
     dark = average([shot(0 * panel) for _ in range(shots_of_dark)])
-    noise = fit_noise_single(icons, whites, dark)
+    noise = fit_noise_single(icons, whites, [dark])
     signal = electrons * paint
     over = noise.variance(signal) / (signal + read**2 + 1 / 12)
     # An upper estimate: edges of patches lie in most blocks.

@@ -64,7 +64,7 @@ STEPS = {
     "average steady": lambda: average_steady(unsteady, frozen(np.full((50, 60), 20.0))),
     "flat field": lambda: flat_field(template(200), template(20), template(900), noise=NOISE),
     "flat field of stacks": lambda: flat_field(template(200), template(20), template(900)),
-    "fit noise": lambda: fit_noise([template(200), template(900)], template(20)),
+    "fit noise": lambda: fit_noise([template(200), template(900)], [template(20)]),
     "find defects": lambda: find_defects(template(20), template(900), "RGGB"),
     "replace defects": lambda: replace_defects(*mosaic(), "RGGB"),
     "malvar": lambda: demosaic(*mosaic(), "RGGB"),

@@ -40,7 +40,7 @@ def test_a_real_line_scan_becomes_reflectance(real_data):
         average([scan("4-22-22_right_same_B73_top_00")]),
         dark,
         white,
-        noise=fit_noise([white, dark], dark),
+        noise=fit_noise([white, dark], [dark]),
     )
     middle = np.median(made.values, (0, 1))
     # Dark at 440 nm, brighter in the infrared; sigma below 2 % of white where the lamp is strong.

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from levkas.calibration.findings import refusal
 from levkas.calibration.patterns import as_pattern, split
-from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.templates import Template
 from levkas.core.cube import Flag
-from levkas.core.problems import Problem
 
 HOT, LEAST_HOT = 10.0, 5.0
 """Robust sigmas of the dark above the neighbours, and counts, below which subtraction of the dark is as good."""
@@ -65,15 +65,7 @@ def find_defects(
             around = _local_median(phase)
             mark |= (around > 0) & (np.abs(phase - around) > DEAD * around)
     if np.mean(found) > MANY:
-        raise CalibrationRefused(
-            Problem(
-                "E_VALUE",
-                "too many sensels appear defective",
-                found=f"{np.mean(found):.1%}",
-                expected=f"at most {MANY:.0%}",
-                fix="Check the dark and the white: the pattern may be wrong, or a frame damaged.",
-            )
-        )
+        raise refusal("many_defects", number=float(np.mean(found)), limit=MANY)
     return found
 
 

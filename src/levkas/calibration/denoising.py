@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.templates import CalibrationRefused
-from levkas.core.problems import Problem
+from levkas.calibration.findings import refusal
 
 CORRELATED = 0.1
 """Of neighbouring bands' noise, beyond what white noise would show; binning of two bands gives 0.5."""
@@ -60,16 +59,7 @@ def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
         pixels += len(wide)
     bands = len(products)
     if bands < 3 or pixels < MORE_PIXELS * bands:
-        raise CalibrationRefused(
-            Problem(
-                "E_SIZE",
-                "too few spectra or bands for a signal subspace",
-                field="denoise",
-                found=f"{pixels} spectra with {bands} bands",
-                expected=f"3 or more bands, {MORE_PIXELS} spectra per band",
-                fix="Remove `denoise` for this camera.",
-            )
-        )
+        raise refusal("few_spectra", str(bands), pixels, MORE_PIXELS)
     # Equilibrated: bands of a dark and of a bright wavelength differ by orders of magnitude.
     size = np.sqrt(np.maximum(np.diag(products), 1e-300))
     inverse = np.linalg.inv(products / np.outer(size, size) + 1e-12 * np.eye(bands))
@@ -81,18 +71,9 @@ def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
     gain = np.einsum("ik,ij,jk->k", vectors, twice - second, vectors)
     basis = np.ascontiguousarray(vectors[:, gain < 0])
     excess = _neighbours(inverse) - _neighbours(np.eye(bands) - basis @ basis.T)
-    most = int(MOST_KEPT * bands)
-    if abs(excess) > CORRELATED or basis.shape[1] > most:
-        raise CalibrationRefused(
-            Problem(
-                "E_CORRELATED",
-                "noise and signal cannot be separated: the noise of neighbouring bands is correlated, or there are too few bands",
-                field="denoise",
-                found=f"excess correlation {excess:.2f}, {basis.shape[1]} of {bands} dimensions",
-                expected=f"within ±{CORRELATED:g}, at most {most} dimensions",
-                fix="Remove `denoise` for this camera.",
-            )
-        )
+    if abs(excess) > CORRELATED or basis.shape[1] > int(MOST_KEPT * bands):
+        dimensions = f"{basis.shape[1]} of {bands}"
+        raise refusal("noise_correlated", dimensions, excess, CORRELATED)
     return Subspace(basis, np.sqrt(power))
 
 

@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from levkas.calibration.findings import refusal
 from levkas.calibration.mosaic import Place, Taps, interpolate, smoothed
-from levkas.calibration.patterns import as_pattern, split
-from levkas.calibration.templates import CalibrationRefused
+from levkas.calibration.patterns import as_pattern, blocks_of, split
 from levkas.core.cube import Flag
-from levkas.core.problems import Problem
 
 BLOCK, FLATTEST = 6, 0.5
 """Sensels of a phase to a side of the blocks whose means are compared, and the share of the lit ones that is used, the flattest
@@ -54,33 +53,25 @@ def phase_gains(
     rows = as_pattern(pattern)
     shape = (len(rows), len(rows[0]))
     if any(n < BLOCK * p for n, p in zip(values.shape, shape, strict=True)):
-        raise CalibrationRefused(
-            Problem(
-                "E_SIZE",
-                "the frame is too small to measure its phases",
-                found=str(values.shape),
-                expected=f"{BLOCK} periods of {shape} at least",
-            )
+        raise refusal(
+            "mosaic_small", str(values.shape), expected=f"{BLOCK} periods of {shape} at least"
         )
     phases, marks = split(values, *shape), split(flags, *shape)
     shares = np.array([np.mean((m & CLIPS) != 0) for m in marks])
     usable = shares <= max(CLIPPED, shares.min())
-    size = np.array([p.shape for p in phases]).min(0) // BLOCK  # an odd frame has longer phases
-    blocks = [_cut(p, size) for p in phases]
+    high, wide = np.array([p.shape for p in phases]).min(0)  # an odd frame has longer phases
+
+    def cut(phase: np.ndarray) -> np.ndarray:
+        return blocks_of(phase[:high, :wide].astype(float), BLOCK).reshape(-1, BLOCK, BLOCK)
+
+    blocks = [cut(phase) for phase in phases]
     means = np.array([b.mean((1, 2)) for b in blocks])
-    marked = [_cut(m, size).any((1, 2)) for m, u in zip(marks, usable, strict=True) if u]
+    marked = [cut(m).any((1, 2)) for m, u in zip(marks, usable, strict=True) if u]
     clean = ~np.any(marked, axis=0)
     strength = np.array([np.median(m[clean]) if clean.any() else 0.0 for m in means])
     best = int(np.argmax(np.where(usable, strength, -np.inf)))
     if not strength[best] > 0:
-        raise CalibrationRefused(
-            Problem(
-                "E_VALUE",
-                "no phase of the mosaic has a signal",
-                found=f"medians {np.array2string(strength, precision=2)} counts",
-                fix="Use a longer exposure for this band.",
-            )
-        )
+        raise refusal("no_phase", number=float(strength[best]))
     level = means[best]
     lit = clean & (level > 0.1 * np.quantile(level[clean], 0.98))
     rough = blocks[best].std((1, 2)) / np.maximum(level, 1e-9)
@@ -94,13 +85,6 @@ def phase_gains(
         noise = np.array([np.nanmean(part) for part in split(variance, *shape)])
     weights = np.where(gains >= WEAKEST, gains**2 / np.maximum(noise, 1e-12), 0.0)
     return PhaseGains(gains.reshape(shape), (weights / weights.max()).reshape(shape))
-
-
-def _cut(phase: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return as many whole blocks of a phase, down and across, as `size` says, (n, BLOCK, BLOCK)."""
-    high, wide = size
-    whole = phase[: high * BLOCK, : wide * BLOCK].astype(float)
-    return whole.reshape(high, BLOCK, wide, BLOCK).swapaxes(1, 2).reshape(-1, BLOCK, BLOCK)
 
 
 def _shifted_means(blocks: np.ndarray, offset: np.ndarray) -> np.ndarray:

@@ -103,12 +103,6 @@ class Uncertain:
     parts: dict[Part, np.ndarray] = field(default_factory=dict)
 
     @property
-    def covariance(self) -> np.ndarray:
-        """Covariance of the values, (n, n)."""
-        rows = np.array([*self.parts.values()]).reshape(-1, len(self.values))
-        return rows.T @ rows
-
-    @property
     def sigma(self) -> np.ndarray:
         """Standard uncertainty of each value, (n,)."""
         total: Any = sum((row**2 for row in self.parts.values()), np.zeros(len(self.values)))

@@ -155,7 +155,7 @@ FINDINGS = {
     "lost": Row("note", "values that are not finite numbers are flagged as defects", "{subject}: {number:.0f} of {limit:.0f}"),
     "moved": Row("note", "some pixels moved between shots", "{number:.2g} % of them, which are flagged"),
     # sizes and numbers of frames
-    "size": Row("refuse", "{subject} and object differ in size", advice=SAME_MODE, error="E_SIZE"),
+    "size": Row("refuse", "{subject} and object differ in size", advice=SAME_MODE, error="E_SIZE", field="{subject}"),
     "band_size": Row(
         "refuse", "band {subject} differs in size from the other bands", error="E_SIZE", field="width, height",
         advice="Use a frame of the correct camera, captured in the mode of the others.",
@@ -336,6 +336,46 @@ FINDINGS = {
     "trap_beyond": Row(
         "refuse", "a light trap lies beyond the frame", error="E_VALUE", field="targets.traps.{subject}",
         expected="[x, y, width, height] within the frame, native px",
+    ),
+    # what cannot be made of frames
+    "dark_time": Row(
+        "refuse", "the dark of another time does not serve frames of {limit:g} s: the black level is unknown",
+        "dark current of up to {number:.2g} counts, noise of {subject}", "a dark of the same time, darks of two times, or the black level",
+        "Capture darks of {limit:g} s, or write `black` of the camera in campaign.toml: what a dark of a very short time shows.",
+        "E_EXPOSURES", "black",
+    ),
+    "white_object": Row(
+        "refuse", "the white shows the object, not a white board", "the detail of the object over {number:.0%} of the frame",
+        "a smooth board that fills the view",
+        "Check that the frames of white and object are not the same, and capture a white board in place of the object.", "E_WHITE_DETAIL",
+    ),
+    "white_picture": Row(
+        "refuse", "the white is a picture, not a white board",
+        "detail of {number:.0%} rms over more than half of the frame that the object does not have", "a smooth board that fills the view",
+        "Capture a white board in place of what the white shows, or exchange the names of white and object.", "E_WHITE_DETAIL",
+    ),
+    "many_defects": Row(
+        "refuse", "too many sensels appear defective", "{number:.1%}", "at most {limit:.0%}",
+        "Check the dark and the white: the pattern may be wrong, or a frame damaged.", "E_VALUE",
+    ),
+    "mosaic_small": Row("refuse", "the mosaic is too small", "{subject}", "at least that many whole periods of its pattern", error="E_SIZE"),
+    "not_bayer": Row(
+        "refuse", "this demosaicing needs a Bayer pattern", "a pattern of {subject}", "2x2, one of three channels on a diagonal",
+        'Use demosaic = "normalised".', "E_VALUE", "demosaic",
+    ),
+    "demosaicing": Row("refuse", "unknown demosaicing method", "{subject}", error="E_VALUE", field="demosaic"),
+    "no_phase": Row(
+        "refuse", "no phase of the mosaic has a signal", "median {number:.2g} counts", "light",
+        "Use a longer exposure for this band.", "E_VALUE",
+    ),
+    "few_spectra": Row(
+        "refuse", "too few spectra or bands for a signal subspace", "{number:.0f} spectra with {subject} bands",
+        "3 or more bands, {limit:.0f} spectra per band", "Remove `denoise` for this camera.", "E_SIZE", "denoise",
+    ),
+    "noise_correlated": Row(
+        "refuse", "noise and signal cannot be separated: the noise of neighbouring bands is correlated, or there are too few bands",
+        "excess correlation {number:.2f}, {subject} dimensions", "within ±{limit:g}, at most half of the dimensions",
+        "Remove `denoise` for this camera.", "E_CORRELATED", "denoise",
     ),
     "trap_blind": Row("note", "light traps show nothing: stray light is not known by them", "{subject}"),
 }  # fmt: skip

@@ -15,6 +15,7 @@ import numpy as np
 
 from levkas.calibration.clipped_darks import unclip_means
 from levkas.calibration.darks import MatchedDark, dark_correlation, dark_under, match_dark
+from levkas.calibration.findings import Finding, refusal
 from levkas.calibration.noise_fit import PRIOR, WORKED_OUT, NoiseModel, hidden_rounding
 from levkas.calibration.templates import (
     CalibrationRefused,
@@ -28,7 +29,6 @@ from levkas.calibration.templates import (
 from levkas.calibration.whites import PERFECT, WhiteBoard, check_white, reflectance_table
 from levkas.core.compiled import njit
 from levkas.core.cube import Flag
-from levkas.core.problems import Problem
 from levkas.core.threads import in_threads
 
 Darks = Template | Sequence[Template] | None
@@ -274,18 +274,7 @@ def require_dark(
     wrong, sigma = abs(under.stretch) * current, float(np.sqrt(variance))
     if not under.stretch or wrong <= sigma:
         return
-    time = frame.exposure_s or 0.0
-    raise CalibrationRefused(
-        Problem(
-            "E_EXPOSURES",
-            f"the dark of {time / (1 + under.stretch):g} s does not serve frames of {time:g} s: the black level is unknown",
-            field="black",
-            found=f"dark current of up to {wrong:.2g} counts, noise of {sigma:.2g}",
-            expected="a dark of the same time, darks of two times, or the black level",
-            fix=f"Capture darks of {time:g} s, or write `black` of the camera in campaign.toml: what a dark of a very "
-            "short time shows.",
-        )
-    )
+    raise refusal("dark_time", f"{sigma:.2g}", wrong, frame.exposure_s or 0.0)
 
 
 def describe_darks(
@@ -313,14 +302,7 @@ def require_same_size(shot: Template, others: Mapping[str, Template | np.ndarray
         if one is not None
     }
     problems = [
-        Problem(
-            "E_SIZE",
-            f"{name} and object differ in size",
-            field=name,
-            found=str(shape),
-            expected=str(shot.mean.shape),
-            fix="Capture dark and white in the same mode and with the same crop as the object.",
-        )
+        Finding("size", name, found=str(shape), expected=str(shot.mean.shape)).problem()
         for name, shape in shapes.items()
         if list(shape[1:]) != rest or shape[0] not in (1, height)
     ]

@@ -8,16 +8,17 @@ frame of any size has a few hundred of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from levkas.calibration.detail import interpolation_variance
+from levkas.calibration.findings import refusal
 from levkas.calibration.patterns import channel_table
-from levkas.calibration.templates import CalibrationRefused, read_only
+from levkas.calibration.templates import read_only
 from levkas.core.compiled import njit
 from levkas.core.cube import Flag
-from levkas.core.problems import Problem
 from levkas.core.threads import in_threads
 
 LARGEST = 4.0
@@ -70,50 +71,31 @@ def smoothed(place: Place, channel: int) -> Taps:
     does not hold enough samples (borders) it is widened.
     """
     best: Taps = []
-    for periods in _windows(place):
-        dy, dx, tent = _samples(place, channel, periods)
+    (rows, columns), (height, width), y, x = place.table.shape, place.shape, place.y, place.x
+    # Only towards a border does a window grow: what is far from one must not depend on it.
+    edges = ((y, height, rows), (x, width, columns))
+    sizes = [range(1, WINDOWS + 1 if i < p or i >= n - p else 2) for i, n, p in edges]
+    for periods in sorted(product(*sizes), key=lambda n: (sum(n), n)):
+        high, wide = periods[0] * rows, periods[1] * columns
+        down = slice(max(-y, 1 - high), min(height - y, high))
+        dy, dx = np.mgrid[down, max(-x, 1 - wide) : min(width - x, wide)].reshape(2, -1)
+        phase = (y + dy) % rows, (x + dx) % columns
+        tent = (1 - np.abs(dy) / high) * (1 - np.abs(dx) / wide) * place.weights[phase]
+        kept = (place.table[phase] == channel) & (tent > 0)
+        dy, dx, tent = dy[kept], dx[kept], tent[kept]
         if not len(tent):
             continue
-        columns = np.stack([np.ones(len(dy)), dx, dy], 1)
-        moments = columns.T @ (columns * tent[:, None])
-        weights = tent * (columns @ (np.linalg.pinv(moments, rcond=1e-10) @ [1.0, 0, 0]))
-        exact = np.allclose(columns.T @ weights, [1, 0, 0], atol=1e-9)
+        terms = np.stack([np.ones(len(dy)), dx, dy], 1)
+        moments = terms.T @ (terms * tent[:, None])
+        weights = tent * (terms @ (np.linalg.pinv(moments, rcond=1e-10) @ [1.0, 0, 0]))
+        exact = np.allclose(terms.T @ weights, [1, 0, 0], atol=1e-9)
         if exact or not best:
-            if not exact:
-                weights = tent / tent.sum()
+            weights = weights if exact else tent / tent.sum()
             taps = zip(dy.tolist(), dx.tolist(), weights.tolist(), strict=True)
             best = [(v, h, w, True) for v, h, w in taps if abs(w) > 1e-12]
         if exact and np.abs(weights).sum() <= LARGEST:
             break
     return best
-
-
-def _windows(place: Place) -> list[tuple[int, int]]:
-    """Return how many periods to try down and across, least first.
-
-    Only towards a border does a window grow: one period holds samples on all sides elsewhere, and what is far from a border
-    must not depend on it.
-    """
-    at, periods = (place.y, place.x), place.table.shape
-    down, across = (
-        range(1, WINDOWS + 1 if i < period or i >= length - period else 2)
-        for i, length, period in zip(at, place.shape, periods, strict=True)
-    )
-    return sorted(((v, h) for v in down for h in across), key=lambda n: (sum(n), n))
-
-
-def _samples(
-    place: Place, channel: int, periods: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return offsets (dy, dx) of a channel's sensels under the tent, and its height there."""
-    half = [p * n for p, n in zip(periods, place.table.shape, strict=True)]
-    rows = np.arange(max(-place.y, 1 - half[0]), min(place.shape[0] - place.y, half[0]))
-    columns = np.arange(max(-place.x, 1 - half[1]), min(place.shape[1] - place.x, half[1]))
-    dy, dx = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
-    phase = (place.y + dy) % place.table.shape[0], (place.x + dx) % place.table.shape[1]
-    tent = (1 - np.abs(dy) / half[0]) * (1 - np.abs(dx) / half[1]) * place.weights[phase]
-    kept = (place.table[phase] == channel) & (tent > 0)
-    return dy[kept], dx[kept], tent[kept]
 
 
 def _mask(text: str) -> np.ndarray:
@@ -133,17 +115,8 @@ def malvar(place: Place, channel: int) -> Taps:
     """
     green, own = _green(place.table), place.channel_at(0, 0)
     if green is None:
-        size = "{}x{}".format(*place.table.shape)
-        raise CalibrationRefused(
-            Problem(
-                "E_VALUE",
-                "this demosaicing needs a Bayer pattern",
-                field="demosaic",
-                found=f"{size} pattern of {len(np.unique(place.table))}",
-                expected="2x2, one of three channels on a diagonal",
-                fix='Use demosaic = "normalised".',
-            )
-        )
+        size = "{} x {}".format(*place.table.shape)
+        raise refusal("not_bayer", f"{size}, {len(np.unique(place.table))} channels")
     if own == channel or not place.holds(2):
         return normalised(place, channel)
     if channel == green:
@@ -338,15 +311,7 @@ def method_of(
     if method is None:
         method = "normalised" if _green(table) is None else "malvar"
     if method not in METHODS:
-        raise CalibrationRefused(
-            Problem(
-                "E_VALUE",
-                f"unknown demosaicing method {method!r}",
-                field="demosaic",
-                found=method,
-                expected=", ".join(METHODS),
-            )
-        )
+        raise refusal("demosaicing", method, expected=", ".join(METHODS))
     return table, METHODS[method]
 
 
@@ -360,14 +325,7 @@ def interpolate(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Apply a stencil method to a mosaic whose pattern is `table`, without the variance of detail; else as `demosaic`."""
     if values.ndim != 2 or any(n < p for n, p in zip(values.shape, table.shape, strict=True)):
-        raise CalibrationRefused(
-            Problem(
-                "E_SIZE",
-                "a mosaic must hold at least one period of its pattern",
-                found=str(values.shape),
-                expected=f"(h, w), at least {table.shape}",
-            )
-        )
+        raise refusal("mosaic_small", str(values.shape), expected=f"(h, w), at least {table.shape}")
     shape = (values.shape[0], values.shape[1])
     plan = lay_out(table, shape, method, weights)
     spreads = np.zeros((1, 1), np.float32) if variance is None else variance

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.calibration.patterns import channel_table
+from levkas.calibration.patterns import blocks_of, channel_table
 from levkas.calibration.templates import MANY_PIXELS, Template, gaps_of
 from levkas.core.compiled import njit
 
@@ -156,71 +156,58 @@ def fit_noise_of_frames(
     """
     stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
     quiet = [d for d in darks if d.count > 1 or d.fit is not None]
-    fitted = None
-    if stacks:
-        stacks += quiet
-        under = [_dark_of(t, darks) for t in stacks] if darks else None
-        fitted = fit_noise(stacks, under, black=black, step=step)
+    fitted = fit_noise([*stacks, *quiet], darks, black=black, step=step) if stacks else None
     if (fitted is not None and quiet) or len(shots) != len(whites):
         return fitted
-    under = [_dark_of(t, darks) for t in shots] if darks else None
-    single = fit_noise_single(shots, whites, under, black=black, pattern=pattern, step=step)
+    single = fit_noise_single(shots, whites, darks, black=black, pattern=pattern, step=step)
     if fitted is None or single is None:
         return fitted or single
     known = fitted.read_variance > step**2 / 12
     return fitted if known else replace(fitted, read_variance=single.read_variance)
 
 
-def _dark_of(stack: Template, darks: Sequence[Template]) -> Template:
-    """Return the dark nearest in time, a dark itself where it is one of them."""
+def _dark_of(stack: Template, darks: Sequence[Template]) -> Template | None:
+    """Return the dark nearest in time, a dark itself where it is one of them; None of none."""
     if any(stack is dark for dark in darks):
         return stack
-    time = stack.exposure_s
-    timed = [d for d in darks if time and d.exposure_s]
-    return min(timed or darks[:1], key=lambda d: abs(np.log((d.exposure_s or 1) / (time or 1))))
+    time = stack.exposure_s or 0.0
+    timed = [d for d in darks if time and d.exposure_s] or darks[:1]
+    return min(timed, key=lambda d: abs(np.log((d.exposure_s or 1) / (time or 1))), default=None)
 
 
-def _levels_of(
-    dark: Template | Sequence[Template] | None, count: int
-) -> tuple[list[Template | None], list[float], float | None]:
-    """Return the dark of each frame, what its level has above the lowest, counts, and that lowest."""
-    darks = [dark] * count if dark is None or isinstance(dark, Template) else [*dark]
-    lowest = min((d.level for d in darks if d is not None), default=None)
-    return darks, [0.0 if d is None or lowest is None else d.level - lowest for d in darks], lowest
+def _with_darks(
+    frames: Sequence[Template], darks: Sequence[Template]
+) -> tuple[list[tuple[Template | None, float]], float | None]:
+    """Return the dark of each frame and what its level has above the lowest, counts, and that lowest."""
+    own = [_dark_of(frame, darks) for frame in frames]
+    lowest = min((d.level for d in own if d is not None), default=None)
+    return [(d, 0.0 if d is None or lowest is None else d.level - lowest) for d in own], lowest
 
 
 def fit_noise(
     stacks: Sequence[Template],
-    dark: Template | Sequence[Template] | None = None,
+    darks: Sequence[Template] = (),
     *,
     black: float | np.ndarray = 0.0,
     step: float = 1.0,
 ) -> NoiseModel | None:
     """Fit the noise of a sensor to stacks of at least two shots; None where no stack has signal.
 
-    Parameters
-    ----------
-    stacks : sequence of Template
-        Objects, whites, darks, charts of one sensor at one gain; those of a single shot are passed over.
-    dark : Template or sequence of Template, optional
-        Subtracted from each to have the signal, one for all or one for each stack; without it `black` is, counts.
-    step : float
-        Counts from code to code; 0 where values are not rounded.
+    Objects, whites, darks, charts of one sensor at one gain; those of a single shot are passed over. From each the dark nearest
+    in time is subtracted, else `black`, counts. `step` is from code to code, 0 where values are not rounded.
 
-    Notes
-    -----
     What darks of longer exposures have above the lowest counts as light: dark current has shot noise. Pixels are grouped by
     signal; a group's variance is the mean of theirs without what chance does not explain (something moved). Then one
     weighted line, three rounds. PRNU never enters; lamp flicker does. Where all stacks have about one signal, read noise is
     taken as rounding's alone.
     """
-    darks, warmth, lowest = _levels_of(dark, len(stacks))
+    under, lowest = _with_darks(stacks, darks)
     groups: Groups = []
-    for stack, under, warm in zip(stacks, darks, warmth, strict=True):
+    for stack, (dark, warm) in zip(stacks, under, strict=True):
         if stack.fit is not None:
             groups.append((warm, 1.0, stack.fit.noise**2 + step**2 / 12, MOST_FREEDOM))
         elif stack.variance is not None:
-            found = _groups(stack, black if under is None else under.mean, step, under=under)
+            found = _groups(stack, black if dark is None else dark.mean, step, under=dark)
             groups += [(s + warm, 1.0, v, min(n, MOST_FREEDOM)) for s, v, n in found]
     if not groups or max(g[0] for g in groups) <= 0 or max(g[2] for g in groups) <= 0:
         return None
@@ -278,8 +265,8 @@ def fit_noise_of_band(
     unless the band's own stacks deny it (`compare_noise`, by `UNLIKE`).
     """
     lit = [*shots, *whites]
-    levels = [_dark_of(t, darks).mean if darks else black for t in lit]
-    found = compare_noise(noise, lit, levels)
+    under = [_dark_of(t, darks) for t in lit]
+    found = compare_noise(noise, lit, [black if d is None else d.mean for d in under])
     if 1 / UNLIKE < found < UNLIKE:
         return noise, 1.0
     own = fit_noise_of_frames(shots, [*whites], darks, black=black, step=step)
@@ -313,7 +300,7 @@ def mean_variance(stack: Template, *, step: float = 1.0) -> np.ndarray:
 def fit_noise_single(
     shots: Sequence[Template],
     whites: Sequence[Template | None],
-    dark: Template | Sequence[Template] | None = None,
+    darks: Sequence[Template] = (),
     *,
     black: float | np.ndarray = 0.0,
     pattern: str | Sequence[Sequence[str]] | None = None,
@@ -321,7 +308,7 @@ def fit_noise_single(
 ) -> NoiseModel | None:
     """Estimate the noise of a sensor from single shots, an upper estimate; None where too little of them is usable.
 
-    Objects (h, w), several bands may be pooled, with the white of each; without one PRNU and shading count as noise. `dark`,
+    Objects (h, w), several bands may be pooled, with the white of each; without one PRNU and shading count as noise. `darks`,
     `black` and `step` are as of `fit_noise`; of a mosaic differences are taken within a phase.
 
     The mask [1 −2 1]ᵀ[1 −2 1] of [immerkaer1996]_, doi:10.1006/cviu.1996.0060, leaves nothing of planes; of blocks of 8x8 of
@@ -332,17 +319,17 @@ def fit_noise_single(
     period = (1, 1) if pattern is None else channel_table(pattern).shape
     phases: list[Phase] = [np.s_[y :: period[0], x :: period[1]] for y, x in np.ndindex(period)]
     phases = [np.s_[:, :, k] for k in bands] or phases
-    darks, warmth, lowest = _levels_of(dark, len(shots))
+    under, lowest = _with_darks(shots, darks)
     groups: list[np.ndarray] = []
-    for shot, white, under, warm in zip(shots, whites, darks, warmth, strict=True):
-        level = np.asarray(black, np.float32) if under is None else under.mean
+    for shot, white, (dark, warm) in zip(shots, whites, under, strict=True):
+        level = np.asarray(black, np.float32) if dark is None else dark.mean
         for phase in phases:
-            groups += _groups_of_blocks(_blocks(shot, white, under, level, phase), warm)
+            groups += _groups_of_blocks(_blocks(shot, white, dark, level, phase), warm)
     if not groups or max(float(light.max()) for light, _, _ in groups) <= 0:
         return None
     quiet: Groups = []
-    for one in {id(d): d for d in darks if d is not None}.values():
-        quiet += _noise_of_dark(one, one.level - (lowest or 0.0), step, phases)
+    for one, warm in {id(d): (d, more) for d, more in under if d is not None}.values():
+        quiet += _noise_of_dark(one, warm, step, phases)
     gain, read = 1.0, 0.0  # at first blocks are compared as shot noise alone would have them
     for _ in range(4):
         gain, read = _line([*(_smoothest(group, gain, read) for group in groups), *quiet], step)
@@ -434,9 +421,7 @@ def _roughness_squared(plane: np.ndarray) -> np.ndarray:
 
 def _block_means(plane: np.ndarray) -> np.ndarray:
     """Return the means of whole blocks, one after another."""
-    high, wide = (n // BLOCK for n in plane.shape)
-    whole = plane[: high * BLOCK, : wide * BLOCK].astype(float)
-    return whole.reshape(high, BLOCK, wide, BLOCK).mean((1, 3)).ravel()
+    return blocks_of(plane.astype(float), BLOCK).mean((2, 3)).ravel()
 
 
 def _noise_of_dark(dark: Template, warm: float, step: float, phases: Sequence[Phase]) -> Groups:

@@ -89,16 +89,3 @@ def snr_db(
     mean = e if subtract_dark else e + sensor.dark
     with np.errstate(divide="ignore"):
         return 10 * np.log10(mean / np.sqrt(noise_variance(e, sensor)))  # Eq. (1)
-
-
-def dynamic_range_db(sensor: Sensor, *, floor: float | None = None) -> float:
-    """Return full well over the smallest signal, `floor` electrons, in the paper's 20·log10.
-
-    Left out, it is EMVA 1288's: the exposure whose SNR is one, ``sqrt(dark noise² + 1/4) + 1/2``. The paper's 63 dB puts 32
-    electrons here.
-
-    >>> round(dynamic_range_db(Sensor(), floor=32.0)), round(dynamic_range_db(Sensor()), 1)
-    (63, 74.9)
-    """
-    least = np.sqrt(float(noise_variance(0.0, sensor)) + 0.25) + 0.5 if floor is None else floor
-    return 20 * float(np.log10(sensor.full_well / least))

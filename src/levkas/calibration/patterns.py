@@ -102,6 +102,17 @@ def merge(phases: Sequence[np.ndarray], rows: int, columns: int) -> np.ndarray:
     return frame
 
 
+def blocks_of(plane: np.ndarray, side: int) -> np.ndarray:
+    """Return the whole blocks of a plane, (rows, columns, side, side); a view where it can be.
+
+    >>> blocks_of(np.arange(15).reshape(3, 5), 2).sum((2, 3)).tolist()
+    [[12, 20]]
+    """
+    rows, columns = (n // side for n in plane.shape)
+    whole = plane[: rows * side, : columns * side]
+    return whole.reshape(rows, side, columns, side).swapaxes(1, 2)
+
+
 def thin_periods(frame: np.ndarray, side: int, most: int) -> np.ndarray:
     """Return whole periods of `side` rows, evenly over a frame, of about `most` values; of few rows periods of columns, too.
 

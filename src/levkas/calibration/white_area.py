@@ -14,9 +14,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from levkas.calibration.patterns import channel_table
-from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.core.problems import Problem
+from levkas.calibration.findings import refusal
+from levkas.calibration.patterns import blocks_of, channel_table
+from levkas.calibration.templates import Template
 from levkas.core.threads import each
 
 MOST_PIXELS = 1_000_000
@@ -127,7 +127,7 @@ def find_white_area(
     uncovered = _without_board(_blocks(*details, sound, side))
     share, mask = float(uncovered.mean()), None
     if share > MOST:
-        raise CalibrationRefused(_shows_object(share))
+        raise refusal("white_object", number=share)
     if share >= LEAST:
         mask = _at_size(uncovered, side, small, size)
         sound &= ~_at_size(uncovered, side, small, small)
@@ -164,7 +164,7 @@ def find_white_line(white: Template, level: np.ndarray) -> WhiteArea:
     parts = _large(moving[None], max(3, len(light) // 100))
     share = float(parts.mean())
     if share > MOST:
-        raise CalibrationRefused(_shows_object(share))
+        raise refusal("white_object", number=share)
     return WhiteArea(parts if parts.any() else None)
 
 
@@ -189,11 +189,9 @@ def _blocks(
     of_object: np.ndarray, of_white: np.ndarray, sound: np.ndarray, side: int
 ) -> tuple[np.ndarray, ...]:
     """Return mean squares of the details of object and white, of their product, and the share that is sound."""
-    rows, columns = (n // side for n in sound.shape)
 
     def means(plane: np.ndarray) -> np.ndarray:
-        whole = plane[: rows * side, : columns * side].astype(np.float64)
-        return np.asarray(whole.reshape(rows, side, columns, side).mean((1, 3)))
+        return np.asarray(blocks_of(plane.astype(np.float64), side).mean((2, 3)))
 
     counted = means(sound)
     planes = (of_object**2, of_white**2, of_object * of_white)
@@ -242,16 +240,6 @@ def _at_size(
     return mask[np.ix_(*places)]
 
 
-def _shows_object(share: float) -> Problem:
-    return Problem(
-        "E_WHITE_DETAIL",
-        "the white shows the object, not a white board",
-        found=f"the detail of the object over {100 * share:.0f} % of the frame",
-        expected="a smooth board that fills the view",
-        fix="Check that the frames of white and object are not the same, and capture a white board in place of the object.",
-    )
-
-
 def _require_no_picture(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> None:
     """Refuse a white most blocks of which show, at the scale of painted fields, what the object does not.
 
@@ -267,12 +255,4 @@ def _require_no_picture(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray) -
         return
     alone = float((shown - common)[some].mean())
     if alone > float(shown[some].mean()) / 4:
-        raise CalibrationRefused(
-            Problem(
-                "E_WHITE_DETAIL",
-                "the white is a picture, not a white board",
-                found=f"detail of {100 * alone**0.5:.0f} % rms over more than half of the frame that the object does not have",
-                expected="a smooth board that fills the view",
-                fix="Capture a white board in place of what the white shows, or exchange the names of white and object.",
-            )
-        )
+        raise refusal("white_picture", number=alone**0.5)

@@ -18,12 +18,10 @@ from levkas.quality.targets.edges import EdgePlace
 from levkas.readers.frames import read_facts, read_frame
 
 if TYPE_CHECKING:
-    from levkas.database.layout import LayerId
     from levkas.readers.facts import Facts
 
-NO_NATIVE = (
-    "measured on the grid alone: the database holds no native pixels, which a build keeps "
-    "with native = true under [database] in campaign.toml"
+ON_GRID = (
+    "measured on the grid: charts that a campaign declares are kept and measured in native pixels"
 )
 NOTE = "one cube: the noise is the spread within each patch, including its texture"
 
@@ -50,11 +48,10 @@ def charts_in(
     *,
     cameras: Sequence[str] = (),
     objects: Sequence[str] = (),
-    on_grid: bool = False,
 ) -> Iterator[ChartFiles]:
     """Yield the charts that a database keeps in charts/, or the layers of the objects that are a chart of this kind.
 
-    Layers are looked at on the grid and, if not `on_grid` alone, in native pixels; `cameras` are the only ones.
+    Layers are looked at on the grid; `cameras` are the only ones.
 
     Raises ChartRefused: E_VALUE where there is no such camera or object, E_CHART_MISSING where there is no chart;
     DatabaseRefused where the catalogue cannot be read.
@@ -87,30 +84,7 @@ def charts_in(
         file = database / f"{entry.layer.path}.tif"
         check_inside(database, file, database / f"{entry.layer.path}.flags.tif")
         name = f"{entry.object}/{entry.layer.name}"
-        native = {} if on_grid else _native_files(database, entry.layer)
-        notes = () if native or on_grid else (NO_NATIVE,)
-        yield ChartFiles(name, kind_of(kind), {"": file}, entry.quantity, notes=notes)
-        if native:
-            yield ChartFiles(f"{name}, native pixels", kind_of(kind), native, entry.quantity)
-
-
-def _native_files(database: Path, layer: LayerId) -> dict[str, Path]:
-    """Return the native cubes of a layer, sensor by sensor; none where they are not kept."""
-    from levkas.database.layout import Places
-    from levkas.database.opening import open_pixels
-
-    first = Places(database).native(layer.object, layer.camera, layer.setup, "")
-    if first.is_file():  # one sensor: other files of that beginning are other layers'
-        check_inside(database, first)
-        return {"": first}
-    found = [path for path in _cubes(first.parent, first.stem) if not path.is_symlink()]
-    check_inside(database, *found)
-    labels = {path: open_pixels(path).attrs for path in found}
-    return {
-        path.stem[len(first.stem) :].lstrip("_"): path
-        for path, attrs in labels.items()
-        if (attrs.get("camera"), attrs.get("setup") or "") == (layer.camera, layer.setup)
-    }
+        yield ChartFiles(name, kind_of(kind), {"": file}, entry.quantity, notes=(ON_GRID,))
 
 
 def _cubes(folder: Path, stem: str) -> list[Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,11 +32,11 @@ from levkas.quality.targets.indicators import WhiteEvenness
 from levkas.quality.targets.locating import locate_in_cube
 from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure
 from levkas.quality.targets.stray_light import describe_trap
-from levkas.stages.chart_files import charts_in, is_database, read_cube_file
+from levkas.stages.chart_files import ChartFiles, charts_in, is_database, read_cube_file
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
+    from levkas.campaign.discovery.captures import Capture, FrameRef
     from levkas.database.layout import Places
     from levkas.stages.parts import CalibratedCapture
     from levkas.stages.template_cache import TemplateCache
@@ -156,60 +157,31 @@ def measure_charts(
         Slanted edges, px of the cube; of a database, of the grid. A campaign says them in `targets.edges`.
     """
     path, report = Path(subject), ChartReport()
-    spectra = {"reference": reference, "corners": corners}
     if path.is_file() and path.name != "campaign.toml":
         _refuse(path, "a cube", {"--camera": cameras, "--object": objects})
-        chart = kind_of(kind or CHART)
-        _add(
-            report,
-            path.name,
-            path,
-            chart,
-            lambda: _of_files({"": path}, {"": tuple(edges)}),
-            **spectra,
-        )
+        one = ChartFiles(path.name, kind_of(kind or CHART), {"": path}, quantity="")
+        charts = map(partial(_of_files, tuple(edges)), [one])
     elif is_database(path):
         if not objects:
             _refuse(path, "the charts that a database keeps", {"--kind": kind})
-        some = charts_in(
-            path, kind or CHART, cameras=cameras, objects=objects, on_grid=corners is not None
-        )
-        for one in some:
-            places = {sensor: tuple(edges) or one.edges.get(sensor, ()) for sensor in one.files}
-            file = next(iter(one.files.values()))
-            _add(
-                *(report, one.name, file, one.chart),
-                lambda one=one, places=places: _of_files(
-                    one.files, places, one.quantity, one.notes
-                ),
-                **spectra,
-            )
+        found = charts_in(path, kind or CHART, cameras=cameras, objects=objects)
+        charts = map(partial(_of_files, tuple(edges)), found)
     else:
         _refuse(path, "a campaign", {"--kind": kind, "--object": objects, "--edge": edges})
-        for capture, chart, developed in _of_campaign(path, cameras, report):
-            name = f"{capture.object}/{capture.layer}"
-            _add(report, name, folder_of_frames(capture), chart, developed, **spectra)
+        charts = _of_campaign(path, cameras, report)
+    for name, file, chart, develop in charts:
+        try:
+            spectra = _reference(chart, reference)
+            measured = measure_chart(name, develop(), chart, spectra, corners=corners)
+            report.measures.append(measured)
+            report.problems.extend(problems_of(name, file, measured.edges.problems))
+        except Refused as refused:
+            report.problems.extend(problems_of(name, file, refused.problems))
     return report
 
 
-def _add(
-    report: ChartReport,
-    name: str,
-    file: Path,
-    chart: Chart | None,
-    develop: Callable[[], DevelopedChart],
-    *,
-    corners: np.ndarray | None,
-    reference: str | Path | None,
-) -> None:
-    """Measure one chart into a report, or name what is wrong with it."""
-    try:
-        spectra = _reference(chart, reference)
-        measured = measure_chart(name, develop(), chart, spectra, corners=corners)
-        report.measures.append(measured)
-        report.problems.extend(problems_of(name, file, measured.edges.problems))
-    except Refused as refused:
-        report.problems.extend(problems_of(name, file, refused.problems))
+Subject = tuple[str, Path, Chart | None, Callable[[], DevelopedChart]]
+"""A name for people, where it stands, the chart, None where slanted edges alone are measured, and how it is developed."""
 
 
 def _refuse(path: Path, what: str, options: Mapping[str, Any]) -> None:
@@ -236,24 +208,22 @@ def _reference(chart: Chart | None, path: str | Path | None) -> ChartReference |
     return parse_reference(text, chart, file=str(path))
 
 
-def _of_files(
-    files: Mapping[str, Path],
-    edges: Mapping[str, tuple[EdgePlace, ...]],
-    quantity: str = "",
-    notes: tuple[str, ...] = (),
-) -> DevelopedChart:
-    """Read a chart's cubes, sensor by sensor; those of a database say of which quantity they are."""
-    cubes, said = {}, ()
-    for sensor, path in files.items():
-        cube, said = read_cube_file(path)
-        cubes[sensor] = replace(cube, quantity=quantity or cube.quantity)
-    return DevelopedChart(cubes, edges=edges, notes=(*said, *notes))
+def _of_files(edges: tuple[EdgePlace, ...], chart: ChartFiles) -> Subject:
+    """Return a chart in files; those of a database say of which quantity they are."""
+
+    def read() -> DevelopedChart:
+        cubes, said = {}, ()
+        for sensor, path in chart.files.items():
+            cube, said = read_cube_file(path)
+            cubes[sensor] = replace(cube, quantity=chart.quantity or cube.quantity)
+        places = {sensor: edges or chart.edges.get(sensor, ()) for sensor in cubes}
+        return DevelopedChart(cubes, edges=places, notes=(*said, *chart.notes))
+
+    return chart.name, next(iter(chart.files.values())), chart.chart, read
 
 
-def _of_campaign(
-    path: Path, cameras: Sequence[str], report: ChartReport
-) -> Iterator[tuple[Capture, Chart | None, Callable[[], DevelopedChart]]]:
-    """Yield every chart of a campaign, and how it is developed; what cannot be found is named in the report."""
+def _of_campaign(path: Path, cameras: Sequence[str], report: ChartReport) -> Iterator[Subject]:
+    """Yield every chart of a campaign; what cannot be found is named in the report."""
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.find_captures import find_charts
     from levkas.database.layout import Places
@@ -272,18 +242,17 @@ def _of_campaign(
             )
         )
     what, known = "the campaign has no camera of this name", campaign.cameras
-    unknown = [n for n in cameras if n not in known]
-    if unknown:
-        raise ChartRefused(
-            *(unknown_name(what, n, known, file=file, field="--camera") for n in unknown)
-        )
+    if unknown := [n for n in cameras if n not in known]:
+        named = (unknown_name(what, n, known, file=file, field="--camera") for n in unknown)
+        raise ChartRefused(*named)
     templates = TemplateCache(Places(campaign.output).kept)
     captures, refusals = find_charts(campaign)
     report.problems.extend(p for r in refusals.values() for p in r.problems)
     for capture in captures:
         if not cameras or capture.camera in cameras:
-            chart = kind_of(kinds[capture.object])
-            yield capture, chart, lambda one=capture: develop_chart(one, campaign, templates)
+            name, chart = f"{capture.object}/{capture.layer}", kind_of(kinds[capture.object])
+            develop = partial(develop_chart, capture, campaign, templates)
+            yield name, folder_of_frames(capture), chart, develop
 
 
 # --- developing -----------------------------------------------------------------------------------
@@ -294,13 +263,17 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
     from levkas.calibration.patterns import channel_table
     from levkas.stages.calibrate import develop
 
-    halves = None if campaign.cameras[capture.camera].traits.is_scanned else _halves(capture)
-    whole = develop(_joined(*halves) if halves else capture, campaign, templates)
-    cubes, shots, common = whole.cubes, {}, {}
-    count = min(len(group) for group in _groups(capture))
-    if halves:
-        first, second = (develop(half, campaign, templates).cubes for half in halves)
+    groups = _groups(capture)
+    count = min(len(group) for group in groups)
+    halves = count > 1 and not campaign.cameras[capture.camera].traits.is_scanned
+    if halves:  # an odd shot is left out
+        groups = [group[: len(group) // 2 * 2] for group in groups]
         count = count // 2 * 2
+    whole = develop(_with_shots(capture, groups), campaign, templates)
+    cubes, shots, common = whole.cubes, {}, {}
+    if halves:
+        sides = (_with_shots(capture, [group[k::2] for group in groups]) for k in (0, 1))
+        first, second = (develop(half, campaign, templates).cubes for half in sides)
         for name, cube in cubes.items():
             one, other = first[name], second[name]
             shots[name] = one.values, other.values
@@ -358,28 +331,12 @@ def _groups(capture: Capture) -> list[list[FrameRef]]:
     return list(groups.values())
 
 
-def _halves(capture: Capture) -> tuple[Capture, Capture] | None:
-    """Return two captures of half the shots each; an odd one is left out. None where a band has one shot."""
-    groups = _groups(capture)
-    if any(len(group) < 2 for group in groups):
-        return None
-
-    def half(side: int) -> Capture:
-        chosen = {f for g in groups for f in g[side : len(g) // 2 * 2 : 2]}
-        kept = (tuple(f for f in s.object if f in chosen) for s in capture.sensors)
-        sensors = zip(capture.sensors, kept, strict=True)
-        return replace(capture, sensors=tuple(replace(s, object=some) for s, some in sensors))
-
-    return half(0), half(1)
-
-
-def _joined(first: Capture, second: Capture) -> Capture:
-    """Return a capture with the shots of both halves."""
-
-    def both(a: SensorFrames, b: SensorFrames) -> SensorFrames:
-        return replace(a, object=(*a.object, *b.object))
-
-    return replace(first, sensors=tuple(map(both, first.sensors, second.sensors)))
+def _with_shots(capture: Capture, groups: Sequence[Sequence[FrameRef]]) -> Capture:
+    """Return a capture with these shots alone."""
+    chosen = {frame for group in groups for frame in group}
+    kept = (tuple(f for f in sensor.object if f in chosen) for sensor in capture.sensors)
+    sensors = zip(capture.sensors, kept, strict=True)
+    return replace(capture, sensors=tuple(replace(s, object=some) for s, some in sensors))
 
 
 # --- measuring ------------------------------------------------------------------------------------

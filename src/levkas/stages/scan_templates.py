@@ -418,15 +418,12 @@ def noise_behind_mirror(
     dark = clipped[0] if clipped else _triples(context, dark_frame) if dark_frame else None
     white = _triples(context, white_frame)
     black = context.black or 0.0
-    stacks, level = [white] if white else [], None
-    if clipped:
-        level = clipped[0]
-        stacks += clipped
-    elif dark is not None:
-        level = _mean_line(dark)
+    stacks, levels = [*([white] if white else []), *clipped], clipped[:1]
+    if not clipped and dark is not None:
+        levels = [_mean_line(dark)]
         # At no light at all: sorted by their signal, its lines would be sorted by their noise.
-        stacks.append(replace(dark, mean=np.broadcast_to(level.mean, dark.mean.shape)))
-    noise = fit_noise(stacks, level, black=black, step=context.step) if white else None
+        stacks.append(replace(dark, mean=np.broadcast_to(levels[0].mean, dark.mean.shape)))
+    noise = fit_noise(stacks, levels, black=black, step=context.step) if white else None
     if noise is not None:  # its dark is at hand some lines at a time
         noise = replace(noise, level=None)
     context.record.sensor = sensor_noise(noise, dark, black, context.saturation)
