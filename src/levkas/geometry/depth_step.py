@@ -44,14 +44,10 @@ class DepthStepShift:
     shift: np.ndarray
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        from levkas.geometry.pixel_maps_kernel import step_inside
-
-        points, lines, shift = (
-            np.ascontiguousarray(a, float) for a in (points, self.lines, self.shift)
-        )
-        centre = np.asarray(self.centre, float)
-        moved = step_inside(points, lines, float(self.width), centre, float(self.spread), shift)
-        return np.asarray(moved)
+        points = np.asarray(points, float)
+        u, v = ((points - self.centre) / self.spread).T[:, :, None]
+        share = _rise(self._places(points)).prod(1)[:, None]
+        return points + share * (self.shift[0] + u * self.shift[1] + v * self.shift[2])
 
     @property
     def most(self) -> float:

@@ -70,24 +70,6 @@ def _rise(x):
 
 
 @njit(cache=True)
-def step_inside(points, lines, width, centre, spread, shift):
-    """Return displaced points, (n, 2): by 1, u, v times `shift` inside of four lines, by less on the slope."""
-    out = np.empty_like(points)
-    for n in range(len(points)):
-        x, y = points[n, 0], points[n, 1]
-        share = 1.0
-        for k in range(len(lines)):
-            away = x * lines[k, 0] + y * lines[k, 1] + lines[k, 2]
-            # What is not a number stays none.
-            share *= _rise(away / width) if np.isfinite(away) else away
-        u, v = (x - centre[0]) / spread, (y - centre[1]) / spread
-        for axis in range(2):
-            moved = shift[0, axis] + u * shift[1, axis] + v * shift[2, axis]
-            out[n, axis] = points[n, axis] + share * moved
-    return out
-
-
-@njit(cache=True)
 def share_inside(points, edges, centre, offsets, weights):
     """Return the share of windows, (n,), that lies inside of a turned rectangle, its slope included."""
     out = np.empty(len(points))

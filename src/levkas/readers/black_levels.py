@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.readers.tiff_directories import numbers_of
+from levkas.readers.exif import numbers_of
 
 MOST_PERIOD = 64
 """Rows or columns after which a pattern of levels repeats; sensors have 1, 2, 4 or 6."""

@@ -22,7 +22,7 @@ from levkas.readers.facts import (
     check_ratio,
     check_size,
     decoding,
-    truncated,
+    refused,
     unreadable,
 )
 from levkas.readers.wavelengths import read_centres
@@ -246,8 +246,8 @@ def _open_ripple(path: Path) -> tuple[Facts, int, np.dtype[Any], bool]:
     check_size(path, shape, field="width, height, maps")
     needed, there = offset + prod(shape) * size, data.stat().st_size if data.is_file() else 0
     if there < needed:
-        what = f"{data.name} beside it is truncated or missing"
-        raise truncated(path, what, "width, height, maps", f"{there} bytes", f"{needed} bytes")
+        words = {"field": "width, height, maps", "expected": f"{needed} bytes"}
+        raise refused(path, "cut", f"{there} bytes in {data.name}", **words)
     facts = Facts(path, "ripple", shape, dtype.newbyteorder("=").name)
     return facts, offset, dtype, record != "vector"
 

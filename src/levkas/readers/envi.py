@@ -13,7 +13,7 @@ from levkas.core.text import what_stands_at
 from levkas.core.transpose import transpose
 from levkas.readers.envi_facts import header_facts
 from levkas.readers.envi_header import EnviHeader, Fields, find_data, find_header, parse_header
-from levkas.readers.facts import Facts, check_memory, check_size, unreadable
+from levkas.readers.facts import Facts, check_memory, check_size, refused, unreadable
 from levkas.readers.nodata import without_nodata
 
 __all__ = ["DATA_TYPES", "EnviFile", "open_envi", "read_envi", "read_envi_facts"]
@@ -97,13 +97,7 @@ def open_envi(path: str | Path) -> EnviFile:
     path = Path(path)
     beside = path if path.suffix.lower() == ".hdr" else find_header(path)
     if beside is None or what_stands_at(beside) != "a file":
-        raise unreadable(
-            path,
-            "the cube has no header",
-            found="no such file",
-            expected=f"{path.stem}.hdr beside it",
-            fix="Put the header beside its data, under the same name.",
-        )
+        raise refused(path, "no header", "no such file", stem=path.stem)
     header = parse_header(beside)
     layout = _layout_of(header)
     try:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from levkas.core.text import what_stands_at
-from levkas.readers.facts import UnreadableCapture, unreadable
+from levkas.readers.facts import UnreadableCapture, refused, unreadable
 
 LONGEST_HEADER = 4 << 20
 MOST_KEYS = 5000
@@ -80,15 +80,8 @@ def check_list(header: EnviHeader, key: str, count: int, bands: int, *, one: boo
     """Refuse a list that has not a number a band; one number will do where `one`."""
     if count == bands or (one and count == 1):
         return
-    raise unreadable(
-        header.path,
-        f"the list of {key} does not match the bands",
-        code="E_BAND_COUNT",
-        field=key,
-        found=f"{count} numbers",
-        expected=f"{bands}, or one" if one else f"{bands}",
-        fix="Write one number per band, or remove the list.",
-    )
+    wanted = f"{bands}, or one," if one else f"{bands}"
+    raise refused(header.path, "list", f"{count} numbers", key=key, bands=wanted)
 
 
 @lru_cache(maxsize=1 << 12)
@@ -206,15 +199,7 @@ def _rows(path: Path) -> list[str]:
     try:
         size = path.stat().st_size
         if size > LONGEST_HEADER:
-            raise unreadable(
-                path,
-                "the header is too long",
-                code="E_SIZE",
-                field="header",
-                found=f"{size} bytes",
-                expected=f"at most {LONGEST_HEADER} bytes",
-                fix="This may be the data under the name of the header: a header is a short text.",
-            )
+            raise refused(path, "long header", f"{size} bytes", most=LONGEST_HEADER)
         text = path.read_bytes().decode("utf-8-sig", "replace")
     except OSError as error:
         raise unreadable(path, "the header cannot be opened", found=str(error)) from error

@@ -11,6 +11,8 @@ from datetime import datetime
 from math import isfinite
 from typing import Any, BinaryIO
 
+import numpy as np
+
 from levkas.readers.orientation import UPRIGHT
 
 MOST_READS = 50_000
@@ -24,6 +26,8 @@ SENSITIVITIES = (
 """In the order of what cameras show as ISO."""
 BALANCE = {0: "auto", 1: "manual"}
 """Values of the tag WhiteBalance."""
+RATIONAL = (5, 10)
+"""Types of TIFF tags."""
 LARGEST_APEX = 30
 """1/2^30 s, and f/32768."""
 ZERO_DAYS = ("0001-01-01", "1601-01-01", "1904-01-01", "1970-01-01", "1980-01-01")
@@ -175,3 +179,33 @@ def positive_number(value: Any) -> float | None:
     """Return what `finite_number` does, None where it is not above 0."""
     number = finite_number(value)
     return number if number is not None and number > 0 else None
+
+
+# --- tags of a TIFF, which may be damaged: no pixel depends on them ------------------------------
+
+
+def value_of(tags: Any, name: str | int) -> Any:
+    """Return a tag's value, None where it is absent or cannot be read."""
+    try:
+        if isinstance(name, str):  # for which tifffile would look through all tags
+            from tifffile import TIFF
+
+            name = next((code for code in TIFF.TAGS.getall(name, []) if code in tags), -1)
+        return tags[name].value if name in tags else None
+    except Exception:  # a damaged directory leads tifffile to many kinds of errors
+        return None
+
+
+def numbers_of(tags: Any, name: str | int) -> tuple[float, ...]:
+    """Return a tag's finite numbers, rationals divided; none where it holds text, or nothing."""
+    value = value_of(tags, name)
+    if value is None or isinstance(value, str | bytes):
+        return ()
+    try:
+        numbers = [float(v) for v in np.atleast_1d(np.asarray(value, float)).ravel()]
+    except (TypeError, ValueError):
+        return ()
+    if int(tags[name].dtype) in RATIONAL:
+        pairs = zip(numbers[::2], numbers[1::2], strict=False)
+        numbers = [top / bottom for top, bottom in pairs if bottom]
+    return tuple(n for n in numbers if isfinite(n))

@@ -150,12 +150,43 @@ def unreadable(
     )
 
 
-def truncated(
-    path: str | Path, message: str, field: str, found: str, expected: str
-) -> UnreadableCapture:
-    """Return the refusal of a file that lacks a part, ready to raise."""
-    more = {"field": field, "found": found, "expected": expected}
-    return unreadable(path, message, code="E_TRUNCATED", **more)
+WRONG = {
+    "size": ("E_SIZE", "{field}", "the declared size is not plausible", "1 to {most} samples, sides up to {side}", "{fix}"),
+    "expansion": ("E_SIZE", "width, height", "the file is far smaller than its decoded frame, unlike any capture", "at most {most} to 1 where there are over {free} Mi samples", "Check that this is the correct file. If it is, save it again without compression, or set {variable} to the memory in GB that a command may use."),
+    "memory": ("E_MEMORY", "width, height", "the frame does not fit in memory", "at most {bound} MB, as `levkas doctor` reports", "Use a machine with more memory, close other programs, or set {variable} to the memory in GB that a command may use."),
+    "ratio": ("E_SIZE", "width, height", "the image is larger than its stored bytes allow", "at most {ratio} to 1", COPY_AGAIN),
+    "format": ("E_UNREADABLE", "format", "the file format is not supported", "TIFF, PNG, JPEG, camera raw, ENVI with its header, or a cube in HDF5 or MATLAB", "Save it as a TIFF, a page a band, or as ENVI with its header beside it, and name that file in `files`."),
+    "no file": ("E_UNREADABLE", "file", "the file cannot be opened", "a file", "Add the frame, or correct the pattern in `files`."),
+    "closed": ("E_UNREADABLE", "file", "the file cannot be opened", "a readable file", "Change its permissions, or copy it again."),
+    "empty": ("E_TRUNCATED", "file", "the file is empty", "an image", COPY_AGAIN),
+    "page": ("E_BAND_MISSING", "page", "the file has no page {page}", "a page of that number, from 0", COPY_AGAIN),
+    "samples": ("E_BAND_COUNT", "samples", "one sample a pixel is expected here", "one, or samples that are equal", 'Export the frame as grey; where its samples are bands, write kind = "cube", and kind = "image" for a photograph.'),
+    "cut": ("E_TRUNCATED", "{field}", "the file is truncated", "{expected}", COPY_AGAIN),
+    "PNG": ("E_UNREADABLE", "IHDR", "the PNG header is damaged", "1, 2, 4, 8 or 16 bits of type 0, 2, 3, 4 or 6", COPY_AGAIN),
+    "JPEG": ("E_UNREADABLE", "frame header", "this kind of JPEG is not supported", "gray or three colours of 8 bits", "Export it again as an RGB JPEG or a TIFF."),
+    "loop": ("E_UNREADABLE", "next directory", "the pages of the TIFF form a loop or overlap", "an unused part of the file", COPY_AGAIN),
+    "pages": ("E_SIZE", "pages", "the TIFF has too many pages", "at most {most}", "Save the frames in several files."),
+    "tags": ("E_UNREADABLE", "number of tags", "a directory of the TIFF is damaged", "1 to {most}", COPY_AGAIN),
+    "no image": ("E_UNREADABLE", "NewSubfileType", "the TIFF holds no image", "at least one full-size page", COPY_AGAIN),
+    "kind of page": ("E_UNREADABLE", "{field}", "page {page} is of a kind that is not read", "{expected}", "Export it again as gray or RGB, with deflate or uncompressed."),
+    "strips": ("E_TRUNCATED", "StripOffsets, StripByteCounts", "{name} lacks a strip or tile, or a part of one", "{expected}", COPY_AGAIN),
+    "overlap": ("E_UNREADABLE", "StripOffsets, StripByteCounts", "the strips or tiles overlap", "strips that do not overlap", COPY_AGAIN),
+    "stack": ("E_UNREADABLE", "ImageDescription", "the pages of this stack have no separate tags", "a page a frame", "Save it again with one page per frame."),
+    "no header": ("E_UNREADABLE", "header", "the cube has no header", "{stem}.hdr beside it", "Put the header beside its data, under the same name."),
+    "long header": ("E_SIZE", "header", "the header is too long", "at most {most} bytes", "This may be the data under the name of the header: a header is a short text."),
+    "list": ("E_BAND_COUNT", "{key}", "the list of {key} does not match the bands", "{bands} numbers", "Write one number per band, or remove the list."),
+}  # fmt: skip
+"""What is wrong with a file: code, field, message, what is expected, what to do."""
+
+
+def refused(path: str | Path, row: str, found: Any, **words: Any) -> UnreadableCapture:
+    """Return the refusal of a file by a row of `WRONG`, ready to raise; `words` fill its gaps.
+
+    >>> print(refused("a.tif", "pages", "over 4096", most=4096))
+    the TIFF has too many pages (file: a.tif; field: pages; found: over 4096; expected: at most 4096). Save the frames in several files.
+    """
+    code, field, message, expected, fix = (text.format(**words) for text in WRONG[row])
+    return UnreadableCapture(Problem(code, message, str(path), field, str(found), expected, fix))
 
 
 @contextmanager
@@ -185,15 +216,8 @@ def check_size(
     sides = [int(side) for side in shape]
     if min(sides) > 0 and prod(sides) <= most and max(sides) <= LONGEST_SIDE:
         return
-    raise unreadable(
-        path,
-        "the declared size is not plausible",
-        code="E_SIZE",
-        field=field,
-        found=" x ".join(map(str, sides)),
-        expected=f"1 to {most} samples, sides up to {LONGEST_SIDE}",
-        fix=fix,
-    )
+    found = " x ".join(map(str, sides))
+    raise refused(path, "size", found, field=field, most=most, side=LONGEST_SIDE, fix=fix)
 
 
 def check_expansion(
@@ -206,16 +230,8 @@ def check_expansion(
     needed = samples * itemsize
     if samples <= SMALL_SAMPLES or needed <= most * stored or chosen_memory() is not None:
         return
-    raise unreadable(
-        path,
-        "the file is far smaller than its decoded frame, unlike any capture",
-        code="E_SIZE",
-        field="width, height",
-        found=f"{needed / 1e6:.0f} MB from {stored / 1e6:.2g} MB",
-        expected=f"at most {most} to 1 where there are over {SMALL_SAMPLES >> 20} Mi samples",
-        fix="Check that this is the correct file. If it is, save it again without compression, "
-        f"or set {MEMORY} to the memory in GB that a command may use.",
-    )
+    found, free = f"{needed / 1e6:.0f} MB from {stored / 1e6:.2g} MB", SMALL_SAMPLES >> 20
+    raise refused(path, "expansion", found, most=most, free=free, variable=MEMORY)
 
 
 def check_memory(path: Path, samples: int, itemsize: int) -> None:
@@ -223,25 +239,11 @@ def check_memory(path: Path, samples: int, itemsize: int) -> None:
     needed = samples * (itemsize + IN_WORK)
     if samples <= SMALL_SAMPLES // 2 or needed <= (bound := memory_bound()):
         return
-    raise unreadable(
-        path,
-        "the frame does not fit in memory",
-        code="E_MEMORY",
-        field="width, height",
-        found=f"{samples * itemsize / 1e6:.0f} MB decoded, {needed / 1e6:.0f} MB in work",
-        expected=f"at most {bound / 1e6:.0f} MB, as `levkas doctor` reports",
-        fix=f"Use a machine with more memory, close other programs, or set {MEMORY} to the memory "
-        "in GB that a command may use.",
-    )
+    found = f"{samples * itemsize / 1e6:.0f} MB decoded, {needed / 1e6:.0f} MB in work"
+    raise refused(path, "memory", found, bound=f"{bound / 1e6:.0f}", variable=MEMORY)
 
 
 def check_ratio(path: Path, needed: int, stored: int, *, ratio: int) -> None:
     """Refuse an image of `needed` bytes that `stored` bytes cannot hold at `ratio` to 1."""
-    if needed <= FREE_BYTES or needed <= ratio * stored:
-        return
-    message, found = (
-        "the image is larger than its stored bytes allow",
-        f"{needed} bytes from {stored}",
-    )
-    more = {"field": "width, height", "found": found, "expected": f"at most {ratio} to 1"}
-    raise unreadable(path, message, code="E_SIZE", **more)
+    if needed > FREE_BYTES and needed > ratio * stored:
+        raise refused(path, "ratio", f"{needed} bytes from {stored}", ratio=ratio)

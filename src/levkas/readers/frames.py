@@ -17,7 +17,7 @@ from levkas.core.progress import FRAMES
 from levkas.core.text import what_stands_at
 from levkas.readers import pictures
 from levkas.readers.envi_header import DATA_SUFFIXES, find_header
-from levkas.readers.facts import Facts, UnreadableCapture, unreadable
+from levkas.readers.facts import WRONG, Facts, UnreadableCapture, refused
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
 from levkas.readers.raw import read_raw_headers
 
@@ -38,7 +38,7 @@ LARGEST_SAMPLE, BLOCK = 16 << 20, 60
 """Samples of a glimpse of a frame; rows that they are taken by."""
 MOST_FACTS = 1 << 15
 """Files whose facts are kept in memory, about 1 kB each."""
-EXPECTED = "TIFF, PNG, JPEG, camera raw, ENVI with its header, or a cube in HDF5 or MATLAB"
+EXPECTED = WRONG["format"][3]
 
 
 class Reader(NamedTuple):
@@ -96,14 +96,7 @@ def kind_of(path: str | Path) -> str:
         return named
     if find_header(path):
         return "envi"
-    raise unreadable(
-        path,
-        "the file format is not supported",
-        field="format",
-        found=f"first bytes {head[:8].hex(' ')}",
-        expected=EXPECTED,
-        fix="Save it as a TIFF, a page a band, or as ENVI with its header beside it, and name that file in `files`.",
-    )
+    raise refused(path, "format", f"first bytes {head[:8].hex(' ')}")
 
 
 def files_of(path: str | Path) -> tuple[Path, ...]:
@@ -184,14 +177,7 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
     if kind == "tiff":
         return _call(kind, "frame", Path(path), page)
     if page not in (None, 0):
-        raise unreadable(
-            path,
-            f"the file has no page {page}",
-            code="E_BAND_MISSING",
-            field="page",
-            found="a file of one frame",
-            expected="a TIFF of several pages",
-        )
+        raise refused(path, "page", "a file of one frame", page=page)
     return _call(kind, "frame", Path(path))
 
 
@@ -206,16 +192,8 @@ def read_plane(path: str | Path, *, page: int | None = None) -> np.ndarray:
     plane = values[..., 0]
     for sample in range(1, values.shape[2]):
         if not np.array_equal(values[..., sample], plane, equal_nan=values.dtype.kind == "f"):
-            raise unreadable(
-                path,
-                "one sample a pixel is expected here",
-                code="E_BAND_COUNT",
-                field="samples",
-                found=f"{values.shape[2]} samples a pixel that differ",
-                expected="one, or samples that are equal",
-                fix='Export the frame as grey; where its samples are bands, write kind = "cube", '
-                'and kind = "image" for a photograph.',
-            )
+            found = f"{values.shape[2]} samples a pixel that differ"
+            raise refused(path, "samples", found)
     return np.ascontiguousarray(plane)
 
 
@@ -247,22 +225,13 @@ def _call(kind: str, which: Literal["facts", "frame"], path: Path, *page: int | 
 
 
 def _first_bytes(path: Path) -> bytes:
-    found, expected, fix = (
-        what_stands_at(path),
-        "a file",
-        "Add the frame, or correct the pattern in `files`.",
-    )
-    if found == "a file":
-        try:
-            with path.open("rb") as handle:
-                if head := handle.read(32):
-                    return head
-        except OSError as error:
-            found, expected = str(error), "a readable file"
-            fix = "Change its permissions, or copy it again."
-        else:
-            expected = "an image"
-            raise unreadable(
-                path, "the file is empty", code="E_TRUNCATED", found="0 bytes", expected=expected
-            )
-    raise unreadable(path, "the file cannot be opened", found=found, expected=expected, fix=fix)
+    if (found := what_stands_at(path)) != "a file":
+        raise refused(path, "no file", found)
+    try:
+        with path.open("rb") as handle:
+            head = handle.read(32)
+    except OSError as error:
+        raise refused(path, "closed", error) from error
+    if not head:
+        raise refused(path, "empty", "0 bytes")
+    return head

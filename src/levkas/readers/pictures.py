@@ -20,7 +20,7 @@ from levkas.readers.facts import (
     check_memory,
     check_size,
     decoding,
-    truncated,
+    refused,
     unreadable,
 )
 
@@ -83,13 +83,7 @@ def read_png_facts(path: Path) -> Facts:
         head, chunks, stored = _png_chunks(path)
     width, height, depth, colour = struct.unpack(">IIBB", head[:10])
     if colour not in PNG_SAMPLES or depth not in (1, 2, 4, 8, 16):
-        raise unreadable(
-            path,
-            "the PNG header is damaged",
-            field="IHDR",
-            found=f"{depth} bits, type {colour}",
-            expected="1, 2, 4, 8 or 16 bits of type 0, 2, 3, 4 or 6",
-        )
+        raise refused(path, "PNG", f"{depth} bits, type {colour}")
     samples, itemsize = PNG_SAMPLES[colour], max(depth // 8, 1)
     shape = (height, width) if samples == 1 else (height, width, 3)
     check_size(path, shape)
@@ -131,7 +125,7 @@ def _png_chunks(path: Path) -> tuple[bytes, dict[bytes, bytes], int]:
                 length = 0
             handle.seek(length + 4, 1)
     field, expected = "IDAT" if head else "IHDR", "an IHDR chunk first, then pixels in IDAT"
-    raise truncated(path, "the file is truncated", field, f"{size} bytes", expected)
+    raise refused(path, "cut", f"{size} bytes", field=field, expected=expected)
 
 
 # --- JPEG -------------------------------------------------------------------------------------
@@ -155,20 +149,13 @@ def _jpeg_header(path: Path) -> tuple[Facts, int]:
                 exif = exif or content[6:]
             frame = frame or jpeg_frame(marker, content)
     field, expected = "scan" if frame else "frame header", "a frame header and a scan"
-    raise truncated(path, "the file is truncated", field, f"{size} bytes", expected)
+    raise refused(path, "cut", f"{size} bytes", field=field, expected=expected)
 
 
 def _jpeg_facts(path: Path, frame: tuple[int, int, int, int], exif: bytes, size: int) -> Facts:
     bits, height, width, samples = frame
     if samples not in (1, 3) or bits != 8:
-        raise unreadable(
-            path,
-            "this kind of JPEG is not supported",
-            field="frame header",
-            found=f"{samples} components of {bits} bits",
-            expected="gray or three colours of 8 bits",
-            fix="Export it again as an RGB JPEG or a TIFF.",
-        )
+        raise refused(path, "JPEG", f"{samples} components of {bits} bits")
     shape = (height, width) if samples == 1 else (height, width, 3)
     check_size(path, shape)
     check_expansion(path, prod(shape), 1, size, most=JPEG_EXPANSION)

@@ -15,11 +15,10 @@ import numpy as np
 from levkas.core.digests import Stamp, stamp_of
 from levkas.readers.black_levels import BlackLevels, black_facts
 from levkas.readers.decoder import decode
-from levkas.readers.exif import iso_date, read_exif
-from levkas.readers.facts import Facts, UnreadableCapture, decoding, truncated, unreadable
+from levkas.readers.exif import iso_date, numbers_of, read_exif
+from levkas.readers.facts import Facts, decoding, refused, unreadable
 from levkas.readers.pictures import SCAN, jpeg_frame, jpeg_segments
 from levkas.readers.tiff import check_strips
-from levkas.readers.tiff_directories import numbers_of
 
 EXTENSIONS = """
     3fr ari arq arw bay cap cr2 cr3 crw cs1 dc2 dcr dcs dng drf erf fff gpr iiq k25 kdc mdc mef mos
@@ -171,12 +170,7 @@ def _unlike(path: Path, field: str, found: str, expected: str) -> Exception:
 
 def _check_lossless(path: Path, tiff: Any, page: Any) -> None:
     """Refuse a page of which a strip or tile is missing, or declares fewer samples than it has to hold."""
-    message, field = "a strip or tile of the camera raw is missing", "offsets and byte counts"
-    try:
-        check_strips(path, tiff, page, "the raw image")
-    except UnreadableCapture as refused:
-        (problem,) = refused.problems
-        raise truncated(path, message, field, problem.found, str(problem.expected)) from None
+    check_strips(path, tiff, page, "the raw image")
     if not page.is_tiled and len(page.dataoffsets) > 1:  # LibRaw reads the first, and leaves zeros
         strips = f"{len(page.dataoffsets)} strips of lossless JPEG"
         raise _unlike(path, "RowsPerStrip", strips, "tiles, or one strip")
@@ -192,8 +186,8 @@ def _check_lossless(path: Path, tiff: Any, page: Any) -> None:
         tiff.filehandle.seek(start)
         found, components = _lossless_size(tiff.filehandle.read(min(count, HEADER_BYTES)))
         if found < least:
-            found_text = f"{found} samples in part {number}"
-            raise truncated(path, message, field, found_text, f"{least} in a JPEG")
+            words = {"name": "the raw image", "expected": f"{least} in a JPEG"}
+            raise refused(path, "strips", f"{found} samples in part {number}", **words)
         if page.photometric == LINEAR and components != page.samplesperpixel:
             mixed = f"{components} components of the JPEG in part {number}"
             raise _unlike(path, "SamplesPerPixel", mixed, f"{page.samplesperpixel}")

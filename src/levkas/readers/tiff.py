@@ -13,20 +13,20 @@ import numpy as np
 
 from levkas.readers.black_levels import black_facts
 from levkas.readers.decoder import decode
-from levkas.readers.exif import exif_facts, exif_text
+from levkas.readers.exif import exif_facts, exif_text, numbers_of, value_of
 from levkas.readers.facts import (
     Facts,
     check_expansion,
     check_memory,
     check_size,
     decoding,
-    truncated,
+    refused,
     unreadable,
 )
 from levkas.readers.nodata import nodata_of, without_nodata
 from levkas.readers.pictures import ALPHA, has_curve
 from levkas.readers.tiff_bands import band_facts, camera_band
-from levkas.readers.tiff_directories import directories_of, images_among, numbers_of, value_of
+from levkas.readers.tiff_directories import directories_of, images_among
 
 LARGEST_RATIO = 2000
 PLAIN, JPEG_CODES = 1, (6, 7, 33007)  # tag Compression
@@ -88,14 +88,7 @@ def read_tiff_pages(path: Path) -> Iterator[np.ndarray]:
 
 def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
     if index >= len(pages):
-        raise unreadable(
-            path,
-            f"the file has no page {index}",
-            code="E_BAND_MISSING",
-            field="page",
-            found=f"{len(pages)} pages",
-            expected=f"at least {index + 1}",
-        )
+        raise refused(path, "page", f"{len(pages)} pages", page=index)
     page = tiff.pages[pages[index]]
     shape = _checked_shape(path, tiff, page, index)
     check_memory(path, prod(shape), page.dtype.itemsize)
@@ -152,13 +145,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[int], list[str]]]:
         directories = directories_of(path)
         pages = images_among(directories)
         if not pages:
-            raise unreadable(
-                path,
-                "the TIFF holds no image",
-                field="NewSubfileType",
-                found=f"{len(directories)} previews or masks" if directories else "no pages",
-                expected="at least one full-size page",
-            )
+            found = f"{len(directories)} previews or masks" if directories else "no pages"
+            raise refused(path, "no image", found)
         size = f"{directories[0].width} x {directories[0].height}"
         note = f"the first page, of {size} px, is taken for a preview"
         with tifffile.TiffFile(path) as tiff:
@@ -188,9 +176,8 @@ def _checked_shape(path: Path, tiff: Any, page: Any, index: int) -> tuple[int, .
         wrong = "PhotometricInterpretation", page.photometric, expected
     if wrong:
         field, found, expected = wrong
-        fix = "Export it again as gray or RGB, with deflate or uncompressed."
-        more = {"field": field, "found": str(found), "expected": expected, "fix": fix}
-        raise unreadable(path, f"page {index} is of a kind that is not read", **more)
+        words = {"field": field, "expected": expected, "page": index}
+        raise refused(path, "kind of page", found, **words)
     _check_stack(path, tiff, page)
     check_strips(path, tiff, page, f"page {index}")
     check_expansion(path, prod(shape), page.dtype.itemsize, sum(page.databytecounts))
@@ -199,29 +186,25 @@ def _checked_shape(path: Path, tiff: Any, page: Any, index: int) -> tuple[int, .
 
 def check_strips(path: Path, tiff: Any, page: Any, name: str) -> None:
     """Refuse missing strips or tiles, strips that reach past the end of the file or hold too little."""
-    size, where = tiff.filehandle.size, "StripOffsets, StripByteCounts"
-    offsets, counts = page.dataoffsets, page.databytecounts
+    size, offsets, counts = tiff.filehandle.size, page.dataoffsets, page.databytecounts
     declared, stored = prod(page.chunked), sum(counts)
     there = sum(o > 0 and c > 0 for o, c in zip(offsets, counts, strict=False))
     # Contiguous strips are joined by tifffile into one.
     if there < len(offsets) or (len(offsets) < declared and not page.is_contiguous):
-        message = f"{name} lacks a strip or tile"
-        raise truncated(path, message, where, f"{there} with data", f"{declared}")
+        raise refused(path, "strips", f"{there} with data", name=name, expected=declared)
     end = max(o + c for o, c in zip(offsets, counts, strict=False))
     if end > size:
-        raise truncated(path, "the file is truncated", where, f"{size} bytes", f"at least {end}")
+        raise refused(path, "strips", f"{size} bytes", name=name, expected=f"at least {end}")
     if stored > size:
-        found, expected = f"{stored} bytes in a file of {size}", "strips that do not overlap"
-        message = "the strips or tiles overlap"
-        raise unreadable(path, message, field=where, found=found, expected=expected)
+        raise refused(path, "overlap", f"{stored} bytes in a file of {size}")
     if page.compression == PLAIN:
         apart = page.planarconfig == 2
         width = page.imagewidth * (1 if apart else page.samplesperpixel)
         rows = page.imagelength * (page.samplesperpixel if apart else 1)
         needed = rows * ceil(width * page.bitspersample / 8)
         if stored < needed:
-            message, where = "the strips hold less than the whole image", "StripByteCounts"
-            raise truncated(path, message, where, f"{stored} bytes", f"{needed} bytes")
+            words = {"name": name, "expected": f"{needed} bytes"}
+            raise refused(path, "strips", f"{stored} bytes", **words)
 
 
 def _check_stack(path: Path, tiff: Any, page: Any) -> None:
@@ -231,13 +214,7 @@ def _check_stack(path: Path, tiff: Any, page: Any) -> None:
     if not (text.startswith("ImageJ=") or '"truncated"' in text) or len(tiff.pages) > 1:
         return
     if int(np.prod(tiff.series[0].shape)) > prod(page.shape):
-        raise unreadable(
-            path,
-            "the pages of this stack have no separate tags",
-            field="ImageDescription",
-            found=f"{tuple(tiff.series[0].shape)} behind one page",
-            fix="Save it again with one page per frame.",
-        )
+        raise refused(path, "stack", f"{tuple(tiff.series[0].shape)} behind one page")
 
 
 # --- tags: levels, camera, band ---------------------------------------------------------------

@@ -7,8 +7,8 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from levkas.readers.exif import exif_text, positive_number
-from levkas.readers.tiff_directories import WAVELENGTHS, numbers_of, value_of
+from levkas.readers.exif import exif_text, numbers_of, positive_number, value_of
+from levkas.readers.tiff_directories import WAVELENGTHS
 from levkas.readers.wavelengths import centres_in_names, read_centres
 
 METADATA = 65111

@@ -1,16 +1,13 @@
-"""Directories of a TIFF, walked before any library follows them, which of its pages are images, and values of their tags."""
+"""Directories of a TIFF, walked before any library follows them, and which of its pages are images."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from math import isfinite
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
-import numpy as np
-
-from levkas.readers.facts import truncated, unreadable
+from levkas.readers.facts import refused
 
 MOST_PAGES = MOST_TAGS = 4096
 SUBFILE_TYPE, WIDTH, LENGTH, REDUCED, MASK = 254, 256, 257, 1, 4
@@ -22,8 +19,6 @@ WAVELENGTHS = 65000
 PREVIEW = 4
 """Of the largest page: a page of a fourth of its pixels or less, half a side, is a preview or a step of a pyramid. Bands of
 one camera have one size; twice or half the number separates the same pages."""
-RATIONAL = (5, 10)
-"""Types of tags."""
 
 
 class Directory(NamedTuple):
@@ -70,29 +65,14 @@ def directories_of(path: Path) -> list[Directory]:
         found: dict[int, Directory] = {}
         walked = 0
         while offset:
-            field = "next directory"
+            at = f"byte {offset}"
             if offset >= size:
-                message, at = "the file is truncated", f"byte {offset}"
-                raise truncated(path, message, field, at, f"below {size}")
+                raise refused(path, "cut", at, field="next directory", expected=f"below {size}")
             # Directories stand side by side: laid over one another, each costs a reader as much of the file again.
             if offset in found or walked > size:
-                message, expected = (
-                    "the pages of the TIFF form a loop or overlap",
-                    "an unused part of the file",
-                )
-                raise unreadable(
-                    path, message, field=field, found=f"byte {offset}", expected=expected
-                )
+                raise refused(path, "loop", at)
             if len(found) >= MOST_PAGES:
-                raise unreadable(
-                    path,
-                    "the TIFF has too many pages",
-                    code="E_SIZE",
-                    field="pages",
-                    found=f"over {MOST_PAGES}",
-                    expected=f"at most {MOST_PAGES}",
-                    fix="Save the frames in several files.",
-                )
+                raise refused(path, "pages", f"over {MOST_PAGES}", most=MOST_PAGES)
             found[offset], following = _directory(path, handle, offset, order, big)
             walked += handle.tell() - offset
             offset = following
@@ -106,9 +86,7 @@ def _directory(
     handle.seek(offset)
     count = _unpacked(path, handle, order + ("Q" if big else "H"))
     if not 0 < count <= MOST_TAGS:
-        message, expected = "a directory of the TIFF is damaged", f"1 to {MOST_TAGS}"
-        field, found = "number of tags", f"{count} tags"
-        raise unreadable(path, message, field=field, found=found, expected=expected)
+        raise refused(path, "tags", f"{count} tags", most=MOST_TAGS)
     entry = struct.Struct(order + ("HHQQ" if big else "HHII"))
     data = handle.read(count * entry.size)
     if len(data) < count * entry.size:
@@ -134,36 +112,8 @@ def _unpacked(path: Path, handle: BinaryIO, form: str) -> int:
 
 
 def _cut(path: Path, handle: BinaryIO) -> Exception:
-    message, size = "the file ends inside a directory of the TIFF", handle.seek(0, 2)
-    expected = "all tags of the page, and where the next one is"
-    return truncated(path, message, "directory", f"{size} bytes", expected)
-
-
-# --- values of tags, of files that may be damaged: no pixel depends on them ----------------------
-
-
-def value_of(tags: Any, name: str | int) -> Any:
-    """Return a tag's value, None where it is absent or cannot be read."""
-    try:
-        if isinstance(name, str):  # for which tifffile would look through all tags
-            from tifffile import TIFF
-
-            name = next((code for code in TIFF.TAGS.getall(name, []) if code in tags), -1)
-        return tags[name].value if name in tags else None
-    except Exception:  # a damaged directory leads tifffile to many kinds of errors
-        return None
-
-
-def numbers_of(tags: Any, name: str | int) -> tuple[float, ...]:
-    """Return a tag's finite numbers, rationals divided; none where it holds text, or nothing."""
-    value = value_of(tags, name)
-    if value is None or isinstance(value, str | bytes):
-        return ()
-    try:
-        numbers = [float(v) for v in np.atleast_1d(np.asarray(value, float)).ravel()]
-    except (TypeError, ValueError):
-        return ()
-    if int(tags[name].dtype) in RATIONAL:
-        pairs = zip(numbers[::2], numbers[1::2], strict=False)
-        numbers = [top / bottom for top, bottom in pairs if bottom]
-    return tuple(n for n in numbers if isfinite(n))
+    found, expected = (
+        f"{handle.seek(0, 2)} bytes",
+        "all tags of the page, and where the next one is",
+    )
+    return refused(path, "cut", found, field="directory", expected=expected)
