@@ -18,7 +18,7 @@ from levkas.calibration.findings import Finding, decide, refusal
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
-from levkas.calibration.record import SensorRecord, findings_of, findings_of_lamp
+from levkas.calibration.record import SensorNoise, SensorRecord, findings_of, findings_of_lamp
 from levkas.calibration.reflectance import defects_of
 from levkas.calibration.sensor import (
     SERIES,
@@ -65,6 +65,7 @@ from levkas.stages.measurements import (
     Stacks,
     light_of,
     measure_stacks,
+    rounded,
     sensels_of,
     sensor_noise,
     series_of,
@@ -328,38 +329,65 @@ def _require_chart_of_size(context: SensorCapture, light: ChartLight) -> None:
         raise CalibrationRefused(placed(wrong.problem(), context.sensor.chart))
 
 
+class _Flat(NamedTuple):
+    """Flat-fielded values, what was measured, exposure series, where the white shows the board, and what a person should know."""
+
+    values: Calibrated
+    record: SensorRecord
+    series: list[Series]
+    area: WhiteArea
+    notes: list[Finding | str]
+
+
+def _flat(
+    context: SensorCapture,
+    stacks: tuple[list[Template], list[Template], list[Template]],
+    board: WhiteBoard,
+    noise: NoiseModel | None,
+    area: WhiteArea | None = None,
+    *,
+    band: str = "",
+    looked_at: tuple[bool, bool] = (True, True),
+) -> _Flat:
+    """Flat-field shots, by whites and darks, each exposure by exposure; `looked_at` is whether series of shots and whites are compared."""
+    shots, whites, darks = stacks
+    labels, pattern = list(board.labels or ()), context.sensor.pattern
+    exposed = expose(context, shots, darks, noise)
+    merged = exposed.shot.above_dark
+    white = white_of(context, whites, darks, noise=noise, merged=merged, band=band)
+    require_white(context, white, darks, labels)
+    area = area or white_area_of(context, exposed.shot, white, darks)
+    notes = check_scaling(context, exposed, white, (shots, whites), darks)
+    defects = defects_of(darks, white, pattern, area.uncovered)
+    flat = flatten(
+        *(context, exposed.shot, darks, white),
+        board=board, noise=noise, defects=defects, moved=exposed.moved,
+    )  # fmt: skip
+    record = measure_stacks(Stacks(context, exposed.shot, darks, white, board), flat, noise)
+    record.light = light_of(white, darks, board.pattern, labels)
+    record.white_shots = white_shots(whites, band)
+    compared = (some for some, is_one in zip((shots, whites), looked_at, strict=True) if is_one)
+    series = [found for some in compared for found in series_of(context, some, darks)]
+    return _Flat(flat, record, series, area, [*flat.notes, *notes])
+
+
 def develop_mosaic(context: SensorCapture) -> SensorCube:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
-    sensor, camera, pattern = context.sensor, context.camera, context.sensor.pattern
+    sensor, pattern = context.sensor, context.sensor.pattern
     labels = [band.label for band in sensor.bands]
     darks = context.templates(sensor.dark)
     shots = average_shots(context, sensor.object, darks)
     whites = context.templates(sensor.white, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
     white = white_of(context, whites, darks)
-    require_white(context, white, darks, labels)
     noise = noise_of(context, shots, [white] * len(shots), darks)
-    exposed = expose(context, shots, darks, noise)
-    if exposed.shot.above_dark:
-        white = white_of(context, whites, darks, noise=noise, merged=True)
-    area = white_area_of(context, exposed.shot, white, darks)
-    notes = [*check_scaling(context, exposed, white, (shots, whites), darks), *area.notes]
-    defects = defects_of(darks, white, pattern, area.uncovered)
-    board = WhiteBoard(context.reflectance, pattern, labels, unit=context.unit_of(sensor.object[0]))
-    flat = flatten(
-        *(context, exposed.shot, darks, white),
-        board=board, noise=noise, defects=defects, moved=exposed.moved,
-    )  # fmt: skip
-    record = SensorRecord(
-        light=light_of(white, darks, pattern, labels),
-        sensor=_sensor_noise(context, noise, darks),
-        clipped_darks=context.clipped_darks(darks),
-        white_shots=white_shots(whites),
-    )
-    series = [found for some in (shots, whites) for found in series_of(context, some, darks)]
-    stacks = Stacks(context, exposed.shot, darks, white, board)
-    record.add([straightness(context, series), measure_stacks(stacks, flat, noise)])
-    notes += [*flat.notes, *_doubts_of_noise(noise)]
+    unit = context.unit_of(sensor.object[0])
+    board = WhiteBoard(context.reflectance, pattern, labels, unit=unit)
+    flat, record, series, area, notes = _flat(context, (shots, whites, darks), board, noise)
+    record.sensor = _sensor_noise(context, noise, darks)
+    record.clipped_darks = context.clipped_darks(darks)
+    record.add([straightness(context, series)])
+    notes += [*area.notes, *_doubts_of_noise(noise)]
     values, flags, variance = replace_defects(
         flat.values, flat.flags, flat.variance, pattern=pattern
     )
@@ -369,14 +397,14 @@ def develop_mosaic(context: SensorCapture) -> SensorCube:
         made = (values.reshape(deep), flags.reshape(deep), variance)
     else:
         record.sensels = sensels_of(values, flags, variance, pattern, labels)
-        method = demosaicing_of(camera, sensor)
+        method = demosaicing_of(context.camera, sensor)
         made = demosaic(values, flags, variance, pattern, method=method, channels=labels)
     return SensorCube(cube_of(context, *made, flat.quantity, area.uncovered), notes, record)
 
 
 def _sensor_noise(
     context: SensorCapture, noise: NoiseModel | None, darks: Sequence[Template]
-) -> Any:
+) -> SensorNoise | None:
     dark = darks[0] if darks else None
     return sensor_noise(noise, dark, context.black or 0.0, context.saturation)
 
@@ -411,15 +439,6 @@ def develop_image(context: SensorCapture) -> SensorCube:
     return SensorCube(cube_of(context, values, flags, variance, "counts"), notes)
 
 
-class _Band(NamedTuple):
-    """One band: its values, what was measured, its exposure series, and what a person should know."""
-
-    flat: Calibrated
-    record: SensorRecord
-    series: list[Series]
-    notes: list[Finding | str]
-
-
 def develop_bands(context: SensorCapture) -> SensorCube:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
     bands = context.sensor.bands
@@ -431,20 +450,21 @@ def develop_bands(context: SensorCapture) -> SensorCube:
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     variance: np.ndarray | None = np.empty(shape, np.float32)
     notes: list[Finding | str] = [*area.notes, *_doubts_of_noise(noise)]
-    record, series = SensorRecord(sensor=sensor, clipped_darks=context.clipped_darks(darks)), []
+    record = SensorRecord(sensor=sensor, clipped_darks=context.clipped_darks(darks))
+    series: list[Series] = []
     quantity = "reflectance"
     for start in range(0, len(bands), GROUP):
         some = slice(start, start + GROUP)
         labels = [band.label for band in bands[some]]
         group = each(partial(_band, context, noise, area), labels, reflectances[some].tolist())
-        for one in group:
-            notes += one.notes
-            series += one.series
-            quantity = one.flat.quantity
+        flats = [one.values for one in group]
+        notes += [note for one in group for note in one.notes]
+        series += [found for one in group for found in one.series]
         record.add(one.record for one in group)
-        _interleave([one.flat.values for one in group], values, start)
-        _interleave([one.flat.flags for one in group], flags, start)
-        variances = [one.flat.variance for one in group if one.flat.variance is not None]
+        quantity = flats[-1].quantity
+        _interleave([flat.values for flat in flats], values, start)
+        _interleave([flat.flags for flat in flats], flags, start)
+        variances = [flat.variance for flat in flats if flat.variance is not None]
         if variance is not None and len(variances) == len(group):
             _interleave(variances, variance, start)
         else:
@@ -473,44 +493,26 @@ def _band(
     area: WhiteArea,
     label: str,
     reflectance: float,
-) -> _Band:
+) -> _Flat:
     """One band of one file, or of one file an exposure."""
     sensor = context.sensor
-    shots, whites, darks = _stacks_of_band(context, label)
-    noise, unlike = noise_of_band(context, noise, shots, whites, darks)
-    exposed = expose(context, shots, darks, noise)
-    white = white_of(
-        *(context, whites, darks), noise=noise, merged=exposed.shot.above_dark, band=label
-    )
-    require_white(context, white, darks, [label])
-    notes: list[Finding | str] = [*check_scaling(context, exposed, white, (shots, whites), darks)]
+    stacks = _stacks_of_band(context, label)
+    noise, unlike = noise_of_band(context, noise, *stacks)
     unit = context.unit_of(next(f for f in sensor.object if f.band == label))
     board = WhiteBoard(reflectance, labels=[label], unit=unit)
-    defects = defects_of(darks, white, sensor.pattern, area.uncovered)
-    flat = flatten(
-        *(context, exposed.shot, darks, white),
-        board=board, noise=noise, defects=defects, moved=exposed.moved,
-    )  # fmt: skip
-    own_darks = darks if any(f.band == label for f in sensor.dark) else []
-    record = SensorRecord(
-        light=light_of(white, darks, None, [label]),
-        unlike_noise={} if unlike == 1.0 else {label: float(f"{unlike:.3g}")},
-        clipped_darks=context.clipped_darks(own_darks, label),
-        white_shots=white_shots(whites, label),
-    )
-    record.add([measure_stacks(Stacks(context, exposed.shot, darks, white, board), flat, noise)])
-    series = [
-        found
-        for some, frames in ((shots, sensor.object), (whites, sensor.white))
-        if label in _looked_at(frames)
-        for found in series_of(context, some, darks)
-    ]
+    looked_at = label in _looked_at(sensor.object), label in _looked_at(sensor.white)
+    made = _flat(context, stacks, board, noise, area, band=label, looked_at=looked_at)
+    if unlike != 1.0:
+        made.record.unlike_noise[label] = rounded(unlike, 3)
+    if any(f.band == label for f in sensor.dark):
+        made.record.clipped_darks = context.clipped_darks(stacks[2], label)
     context.forget(label)
+    flat = made.values
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:
         plane = equalise_phases(*plane, sensor.pattern)
     flat = replace(flat, values=plane[0], flags=plane[1], variance=plane[2])
-    return _Band(flat, record, series, [*flat.notes, *notes])
+    return made._replace(values=flat)
 
 
 def _looked_at(frames: Sequence[FrameRef]) -> list[str | None]:
@@ -560,7 +562,9 @@ def require_one_size(context: SensorCapture) -> None:
         raise CalibrationRefused(*problems[:MOST_PROBLEMS])
 
 
-def _noise_of_bands(context: SensorCapture) -> tuple[NoiseModel | None, WhiteArea, Any]:
+def _noise_of_bands(
+    context: SensorCapture,
+) -> tuple[NoiseModel | None, WhiteArea, SensorNoise | None]:
     """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor.
 
     The same bands show where the white shows the object in place of the board.
