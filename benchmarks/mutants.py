@@ -57,7 +57,7 @@ FAULTS = {
         "tests/calibration",
     ),
     "saturation needs one code more": Fault(
-        "calibration/templates_kernel.py",
+        "calibration/templates.py",
         "saturated[y, x] |= np.float32(frame[y, x]) >= high",
         "saturated[y, x] |= np.float32(frame[y, x]) > high",
         "tests/calibration",
@@ -130,7 +130,7 @@ FAULTS = {
         "tests/calibration",
     ),
     "sample variance over n": Fault(
-        "calibration/templates_kernel.py",
+        "calibration/templates.py",
         "freedom = count * (count - 1.0)",
         "freedom = count * (count + 0.0)",
         "tests/calibration",

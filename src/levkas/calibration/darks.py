@@ -21,25 +21,12 @@ SAME_TIME = 0.01  # relative: EXIF rounds 1/60 s to 0.017 s now and then
 
 @dataclass(frozen=True)
 class MatchedDark:
-    """What to subtract from a frame.
+    """What to subtract from a frame, counts, float32; it broadcasts to the frame.
 
-    Parameters
-    ----------
-    mean : ndarray, broadcasts to the frame, float32
-        Counts.
-    variance : ndarray like `mean`, or None
-        Of one shot, counts²; of `mean` where that is no average (`count` is 1 then).
-    share : float
-        Variance of `mean` over `variance`: 1/n for an average of n, 0 for a constant.
-    count : int
-        Shots behind `variance`.
-    saturated : ndarray like `mean`, bool
-    note : str
-        What was done where nothing matched; empty where it did.
-    stretch : float
-        Of a dark of another time that could not be scaled: by how much of itself its dark current is wrong, t/tD − 1.
-    parts : tuple of (Template, float)
-        Darks that `mean` is made of, with the standard deviation that each gives it over that of one shot.
+    `variance` is that of one shot, counts², of `count` shots, or of `mean` where that is no average (`count` is 1 then); `share` is the
+    variance of `mean` over it: 1/n for an average of n, 0 for a constant. `note` says what was done where nothing matched. `stretch` is
+    of a dark of another time that could not be scaled: by how much of itself its dark current is wrong, t/tD − 1. `parts` are
+    darks that `mean` is made of, with the standard deviation that each gives it over that of one shot.
     """
 
     mean: np.ndarray
@@ -88,15 +75,8 @@ def dark_under(
     *,
     black: float | np.ndarray | None = None,
 ) -> MatchedDark:
-    """Return what is left to subtract from a frame: its dark, or zero where that was subtracted.
+    """Return what is left to subtract from a frame: its dark as `match_dark` has it, or zero where that was subtracted.
 
-    Parameters
-    ----------
-    darks, black
-        As in `match_dark`, whose refusals are passed on.
-
-    Examples
-    --------
     >>> none = np.zeros((1, 1), bool)
     >>> merged = Template(np.full((1, 1), 70, "f4"), None, 1, none, none, 1.0, above_dark=True)
     >>> float(dark_under(merged, None, black=64.0).mean[0, 0])
@@ -131,29 +111,13 @@ def match_dark(
     *,
     black: float | np.ndarray | None = None,
 ) -> MatchedDark:
-    """Return the dark for an exposure of `exposure_s`.
+    """Return the dark for an exposure of `exposure_s`; without darks the black level alone, counts: the dark at exposure 0.
 
-    Raises CalibrationRefused, E_EXPOSURES where darks of several times are offered and the frame's time is not known.
+    It is the dark within 1 % of the time as it is; else, of two or more, the line through the two nearest times, pixel by pixel. A single
+    one is scaled about `black` where that is known, black + (D − black)·t/tD, and used as it is where not, with its `stretch`:
+    `flatfield.require_dark` refuses it where the dark current may matter. Raises CalibrationRefused, E_EXPOSURES where darks of several
+    times are offered and the frame's time is not known.
 
-    Parameters
-    ----------
-    darks : Template or sequence of Template or None
-        None: the black level alone is subtracted.
-    exposure_s : float, optional
-        Of the frame to correct.
-    black : float or ndarray like the frame, optional
-        Black level, counts: the dark at exposure 0. None: not known.
-
-    Returns
-    -------
-    dark : MatchedDark
-        The dark within 1 % of the time as it is. Else, of two or more, the line through the two
-        nearest times, pixel by pixel. A single one is scaled about `black` where that is known,
-        black + (D − black)·t/tD, and used as it is where not, with its `stretch`: `flatfield.require_dark`
-        refuses it where the dark current may matter.
-
-    Examples
-    --------
     >>> dark = Template(np.full((1, 1), 70, "f4"), None, 1, *2 * [np.zeros((1, 1), bool)], 1.0)
     >>> float(match_dark(dark, 2.0, black=64.0).mean[0, 0])
     76.0

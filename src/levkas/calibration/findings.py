@@ -170,6 +170,14 @@ FINDINGS = {
         "Add the frame, or remove the band from `wavelengths`.", "E_TEMPLATE_MISSING", "cameras.{camera}.files",
     ),
     "no_frames": Row("refuse", "there are no frames to average", "0", "1 or more", error="E_NO_FRAMES"),
+    "no_real_array": Row("refuse", "a frame is not a real array (h, w) or (h, w, b)", "{subject}", error="E_VALUE"),
+    "shot_size": Row("refuse", "shot {subject} differs from shot 0 in size", advice=SAME_MODE, error="E_SIZE"),
+    "shot_type": Row("refuse", "shot {subject} differs from shot 0 in type", advice=SAME_MODE, error="E_VALUE"),
+    "many_shots": Row("refuse", "too many shots", "{number:.0f}", "at most {limit:.0f}", error="E_VALUE"),
+    "no_values": Row(
+        "refuse", "no value is finite{subject}", "", "finite numbers", "Export the frame again, or remove it from `files`.",
+        "E_VALUE", "pixels",
+    ),
     # shots of one scene
     "unlike_whites": Row(
         "refuse", "the shots of the white contradict each other", "parts differ by up to {number:.0%} from the middle of them: {subject}",

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
-from levkas.calibration.findings import CalibrationRefused
-from levkas.core.problems import Problem
+from levkas.calibration.findings import CalibrationRefused, refusal
+from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
 
 if TYPE_CHECKING:
@@ -27,16 +27,8 @@ MOST_SHOTS = 65536  # beyond this n² · 65535² no longer fits 64 bits
 class DarkFit(NamedTuple):
     """How a clipped dark was fitted.
 
-    Parameters
-    ----------
-    variance : ndarray like the dark's mean, float32
-        Of the mean about each sensel's own level, counts².
-    blacks : tuple of float, counts
-        Of each phase of a mosaic, or band of a cube; one of all where bands are many.
-    noise : float, counts
-        Standard deviation of one shot, rounding not included; of a single shot also from sensel to sensel.
-    zeros : float
-        Share of pixels at 0.
+    `variance` is that of its mean about each sensel's own level, counts²; `blacks` are those of each phase of a mosaic, or band of a
+    cube, one of all where bands are many; `noise` is that of one shot, counts, rounding not included; `zeros` the share of pixels at 0.
     """
 
     variance: np.ndarray
@@ -49,20 +41,10 @@ class DarkFit(NamedTuple):
 class ShotLevels:
     """How bright each shot of a stack is, channel by channel: a channel is a phase of the mosaic, and a band of it.
 
-    Parameters
-    ----------
-    levels : ndarray, (shots, channels)
-        Light of each shot over the mean of all; of darks the counts by which each lies above the mean.
-    error : ndarray, (channels,)
-        Standard deviation that noise alone gives to a level; infinite where the stack has no light.
-    times_s : tuple of float, optional
-        When each shot was captured, s from any origin; None where its file does not state it.
-    differing : tuple of int
-        Of a white: shots that show something else than most of the stack.
-    apart : float
-        Of a white: largest relative deviation of a part of a shot from the others, 0 where none stands out of noise.
-    unlike : tuple of (index, what, by how much)
-        Of an object: shots that differ from the first by more than noise and lamp, as `sight.difference_between` has it.
+    `levels`, (shots, channels), are the light of each shot over the mean of all, of darks the counts by which each lies above the mean;
+    `error`, (channels,), what noise alone gives to a level, infinite where the stack has no light; `times_s` when each was captured, s
+    from any origin. Of a white `differing` are shots that show something else than most, `apart` is the largest relative deviation of a
+    part of a shot; of an object `unlike` are shots that differ from the first, as (index, *`sight.difference_between`).
     """
 
     levels: np.ndarray
@@ -75,34 +57,13 @@ class ShotLevels:
 
 @dataclass(frozen=True)
 class Template:
-    """The average of some shots, with what each of them did.
+    """The average of `count` shots, counts, (h, w) or (h, w, b), float32, with what each of them did.
 
-    Parameters
-    ----------
-    mean : ndarray, (h, w) or (h, w, b), float32
-        Counts.
-    variance : ndarray like `mean`, float32, or None
-        Variance of *one* shot over time, counts²; None where there is only one.
-    count : int
-        Number of shots.
-    saturated, black : ndarray like `mean`, bool
-        Whether any single shot was saturated, or clipped at black, there.
-    lost : ndarray like `mean`, bool, optional
-        Where a shot was no finite number and `close_gaps` put another value. None: nowhere.
-    absent : ndarray like `mean`, bool, optional
-        The same where the file says that it holds nothing there. None: nowhere.
-    above_dark : bool
-        Whether `mean` is above dark: dark or black level were subtracted, and `darks.dark_under` gives
-        zero for it.
-    band_times_s : tuple of float, optional
-        Exposure of every band, where a scan has one of its own each; `exposure_s` is None then.
-    fit : DarkFit, optional
-        Of a dark that was clipped at black: `mean` is what `clipped_darks.unclip` makes of it.
-    shots : ShotLevels, optional
-        How bright each shot is; None where nobody measured it.
+    `variance` is that of *one* shot over time, counts²; None where there is only one. `saturated` and `black` are where any single shot was
+    saturated, or clipped at black; `lost` where one was no finite number and `close_gaps` put another value, `absent` where the file says
+    that it holds nothing. `above_dark` is whether dark or black level were subtracted. Of a scan whose bands have an exposure each these
+    are `band_times_s`, and `exposure_s` is None. `fit` is of a dark that was clipped at black, of which `clipped_darks.unclip` made `mean`.
 
-    Examples
-    --------
     >>> t = average([np.full((1, 1), 10), np.full((1, 1), 14)])
     >>> float(t.mean[0, 0]), float(t.variance[0, 0]), t.count
     (12.0, 8.0, 2)
@@ -178,29 +139,11 @@ def average(
     black_clip: float | None = 0.0,
     exposure_s: float | None = None,
 ) -> Template:
-    """Average shots of one scene; only one of them is held at a time.
+    """Average shots of one scene, all (h, w) or all (h, w, b), of one real dtype; only one of them is held at a time.
 
-    Parameters
-    ----------
-    frames : iterable of ndarray, all (h, w) or all (h, w, b), of one real dtype
-        Raw codes. Read once, in order; never changed.
-    saturation : float, optional
-        A code at or above it is saturated. None: nothing is.
-    black_clip : float, optional
-        A code at or below it is clipped at black. None: nothing is.
-    exposure_s : float, optional
-        Of every shot; kept with the template.
-
-    Returns
-    -------
-    template : Template
-        Saturation is judged shot by shot in raw codes: the mean of five shots of which one is
-        clipped lies below saturation and is wrong all the same.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_NO_FRAMES without a frame; E_SIZE, E_VALUE where shapes or dtypes differ (by index).
+    Codes at or above `saturation`, and at or below `black_clip`, are marked shot by shot: the mean of five shots of which one is
+    clipped lies below saturation and is wrong all the same. Raises CalibrationRefused, E_NO_FRAMES without a frame; E_SIZE, E_VALUE
+    where shapes or dtypes differ (by index).
     """
     high = np.inf if saturation is None else float(saturation)
     low = -np.inf if black_clip is None else float(black_clip)
@@ -214,9 +157,7 @@ def average(
             sums.check(frame, index)
             sums.add(frame)
     if sums is None:
-        raise CalibrationRefused(
-            Problem("E_NO_FRAMES", "there are no frames to average", found=0, expected="1 or more")
-        )
+        raise refusal("no_frames")
     return sums.template(exposure_s)
 
 
@@ -238,13 +179,7 @@ class _Sums:
 
     def __init__(self, first: np.ndarray, high: float, low: float) -> None:
         if first.dtype.kind not in "uif" or first.ndim not in (2, 3) or first.size == 0:
-            raise CalibrationRefused(
-                Problem(
-                    "E_VALUE",
-                    "a frame is not a real array (h, w) or (h, w, b)",
-                    found=f"{first.dtype} {first.shape}",
-                )
-            )
+            raise refusal("no_real_array", f"{first.dtype} {first.shape}")
         # A copy: a reader may hand out the same buffer again for the next shot.
         self.first, self.high, self.low, self.count = first.copy(), high, low, 1
         self.saturated, self.black = self.first >= high, self.first <= low
@@ -253,19 +188,11 @@ class _Sums:
 
     def check(self, frame: np.ndarray, index: int) -> None:
         if frame.shape != self.first.shape or frame.dtype != self.first.dtype:
-            raise CalibrationRefused(
-                Problem(
-                    "E_SIZE" if frame.shape != self.first.shape else "E_VALUE",
-                    f"shot {index} differs from shot 0 in size or type",
-                    found=f"{frame.shape} {frame.dtype}",
-                    expected=f"{self.first.shape} {self.first.dtype}",
-                    fix="Average shots of one sensor and one mode only.",
-                )
-            )
+            code = "shot_size" if frame.shape != self.first.shape else "shot_type"
+            found, expected = (f"{one.shape} {one.dtype}" for one in (frame, self.first))
+            raise refusal(code, str(index), found=found, expected=expected)
         if self.whole and index >= MOST_SHOTS:
-            raise CalibrationRefused(
-                Problem("E_VALUE", "too many shots", found=index + 1, expected=f"≤ {MOST_SHOTS}")
-            )
+            raise refusal("many_shots", number=index + 1, limit=MOST_SHOTS)
 
     def add(self, frame: np.ndarray) -> None:
         if self.totals is None:
@@ -277,27 +204,81 @@ class _Sums:
         self.count += 1
 
     def _sum(self, frame: np.ndarray, before: int, totals: tuple[np.ndarray, np.ndarray]) -> None:
-        from levkas.calibration import templates_kernel
-
         marks = (as_marks(self.saturated), as_marks(self.black))
         limits = (float(self.high), float(self.low))
         if self.whole:
             rows = read_only(as_rows(frame, None))
-            in_threads(templates_kernel.add_codes, len(rows), rows, totals, marks, limits)
+            in_threads(_add_codes, len(rows), rows, totals, marks, limits)
         else:
             reals = frame if frame.dtype in (np.float32, np.float64) else frame.astype(np.float64)
             rows = read_only(as_rows(reals, None))
-            in_threads(templates_kernel.add_reals, len(rows), rows, before, totals, marks, limits)
+            in_threads(_add_reals, len(rows), rows, before, totals, marks, limits)
 
     def template(self, exposure_s: float | None) -> Template:
-        from levkas.calibration import templates_kernel
-
         if self.totals is None:
             mean = self.first.astype(np.float32)
             return Template(mean, None, 1, self.saturated, self.black, exposure_s)
-        finish = templates_kernel.finish_codes if self.whole else templates_kernel.finish_reals
+        finish = _finish_codes if self.whole else _finish_reals
         mean, variance = (a.reshape(self.first.shape) for a in finish(*self.totals, self.count))
         return Template(mean, variance, self.count, self.saturated, self.black, exposure_s)
+
+
+# Rows are independent, so the bytes do not depend on the threads.
+
+
+@njit(cache=True)
+def _add_codes(start, stop, frame, totals, marks, limits):  # type: ignore[no-untyped-def]
+    """Add whole codes to Σx (uint32) and Σx² (uint64), both exact; mark those beyond (high, low)."""
+    (total, squares), (saturated, black), (high, low) = totals, marks, limits
+    for y in range(start, stop):
+        for x in range(frame.shape[1]):
+            code = np.uint64(frame[y, x])
+            total[y, x] += np.uint32(code)
+            squares[y, x] += code * code
+            saturated[y, x] |= np.float32(frame[y, x]) >= high
+            black[y, x] |= np.float32(frame[y, x]) <= low
+
+
+@njit(cache=True)
+def _add_reals(start, stop, frame, before, totals, marks, limits):  # type: ignore[no-untyped-def]
+    """Update mean and Σ(x − mean)² by Welford's step; mark values beyond (high, low)."""
+    (mean, spread), (saturated, black), (high, low) = totals, marks, limits
+    for y in range(start, stop):
+        for x in range(frame.shape[1]):
+            value = np.float64(frame[y, x])
+            step = value - mean[y, x]
+            mean[y, x] += step / (before + 1)
+            spread[y, x] += step * (value - mean[y, x])
+            saturated[y, x] |= value >= high
+            black[y, x] |= value <= low
+
+
+def _finish_codes(
+    total: np.ndarray, squares: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and variance of one shot from exact sums of `count` shots."""
+    mean, variance = np.empty(total.shape, np.float32), np.empty(total.shape, np.float32)
+    in_threads(_finish, len(total), total, squares, count, mean, variance)
+    return mean, variance
+
+
+@njit(cache=True)
+def _finish(start, stop, total, squares, count, mean, variance):  # type: ignore[no-untyped-def]
+    freedom = count * (count - 1.0)
+    for y in range(start, stop):
+        for x in range(total.shape[1]):
+            sums = np.uint64(total[y, x])
+            mean[y, x] = np.float64(sums) / count
+            variance[y, x] = np.float64(squares[y, x] * np.uint64(count) - sums * sums) / freedom
+
+
+def _finish_reals(
+    centre: np.ndarray, spread: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and variance of one shot from Welford's sums."""
+    variance = np.empty(spread.shape, np.float32)
+    np.divide(spread, count - 1.0, out=variance, casting="same_kind")
+    return centre.astype(np.float32), variance
 
 
 def as_rows(array: np.ndarray, kind: DTypeLike | None = np.float32) -> np.ndarray:
@@ -328,21 +309,9 @@ def read_only(array: np.ndarray) -> np.ndarray:
 def close_gaps(template: Template) -> Template:
     """Return a template without NaN and infinities, and with `lost` where they were.
 
-    The median of the band is used there meanwhile, so that no statistic and no neighbour is poisoned;
-    whoever uses the values has to flag `lost`.
+    The median of the band is used there meanwhile, so that no statistic and no neighbour is poisoned; whoever uses the values has to
+    flag `lost`. Raises CalibrationRefused, E_VALUE where a band has no finite value at all.
 
-    Parameters
-    ----------
-    template : Template, (h, w) or (h, w, b)
-        A value that is not finite in any of its shots is not finite in its mean.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_VALUE where a band has no finite value at all.
-
-    Examples
-    --------
     >>> closed = close_gaps(average([np.array([[1.0, np.nan, 3.0]])]))
     >>> closed.mean.tolist(), closed.lost.tolist()
     ([[1.0, 2.0, 3.0]], [[False, True, False]])
@@ -403,16 +372,6 @@ def _filled(values: np.ndarray, lost: np.ndarray) -> np.ndarray:
 
 def no_values(band: int, shape: tuple[int, ...]) -> CalibrationRefused:
     """Return the refusal of a band, of frames (height, width, bands), without a finite value."""
-    several = shape[2] > 1
-    return CalibrationRefused(
-        Problem(
-            "E_VALUE",
-            f"band {band + 1} of the frames has no finite value"
-            if several
-            else "no value is finite",
-            field="pixels",
-            found=f"{shape[1]} x {shape[0]} values, each NaN or infinite in some frame",
-            expected="finite numbers",
-            fix="Export the frame again, or remove it from `files`.",
-        )
-    )
+    where = f" in band {band + 1} of the frames" if shape[2] > 1 else ""
+    found = f"{shape[1]} x {shape[0]} values, each NaN or infinite in some frame"
+    return refusal("no_values", where, found=found)

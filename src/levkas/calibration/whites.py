@@ -22,20 +22,10 @@ SHOWN = 6  # channels that a message names
 
 @dataclass(frozen=True, eq=False)
 class WhiteBoard:
-    """The white board of a capture: its reflectance, and the channels it was recorded in.
+    """The white board of a capture: its reflectance > 0, one number or one for each band (each channel of a mosaic's `pattern`).
 
-    Parameters
-    ----------
-    reflectance : float or sequence
-        One number, or one for each band (each channel of `pattern`); > 0.
-    pattern : str or rows of names, optional
-        Of a mosaic: reflectance and checks go channel by channel.
-    labels : sequence of str, optional
-        Names of the bands for messages.
-    checked : bool
-        Whether the whole frames were checked before: some of their lines are not refused.
-    unit : sequence of float, optional
-        Of files of reflectance, which have no white: the value of reflectance 1.0, one for all bands or for each.
+    `checked` is whether the whole frames were checked before: some of their lines are not refused. `unit` is of files of reflectance,
+    which have no white: the value of reflectance 1.0, one for all bands or for each.
     """
 
     reflectance: float | Sequence[float] | np.ndarray = 1.0
@@ -59,17 +49,8 @@ PERFECT = WhiteBoard()
 def reflectance_table(board: WhiteBoard, shot: Template) -> np.ndarray:
     """Lay the white's reflectance out as it repeats over the (h, w·b) view of a frame.
 
+    The table is (1, b) or of the pattern's shape: channels in the order of the board's labels, else as the pattern first shows them.
     Raises CalibrationRefused, E_VALUE where the numbers do not fit.
-
-    Parameters
-    ----------
-    board : WhiteBoard
-        One number, > 0, or one for each band of `shot`, or for each channel of its pattern: in the order of
-        its labels, else as the pattern first shows them.
-
-    Returns
-    -------
-    table : ndarray, (1, b) or the pattern's shape, float64
     """
     known = np.atleast_1d(np.asarray(board.reflectance, float))
     if board.pattern is not None:
