@@ -42,7 +42,7 @@ from levkas.registration.predictors import (
 )
 from levkas.registration.record import RegistrationRefused, Sigma, refusal
 from levkas.registration.starts import seed_with_points
-from levkas.registration.uncertainty import measure_sigma, with_lines
+from levkas.registration.uncertainty import measure_sigma
 from levkas.registration.verdict import SCALES, Evidence, Light
 from levkas.registration.verification import (
     PermutationTest,
@@ -69,41 +69,30 @@ Item = TypeVar("Item")
 Begin = Callable[["CameraFeatures", "CameraFeatures"], InitialTransform | None]
 
 
-@dataclass(frozen=True)
-class RefinementSettings:
-    """Constants of the coarse-to-fine search."""
-
-    coarse_bands: int = 4
-    """Bands compared on grids before the finest, evenly over the wavelengths."""
-    rounds: int = 2
-    most_rounds: int = 8
-    """`rounds`, `most_rounds`: rounds on the finest grid that are always made, and at most."""
-    converged: float = 0.1
-    """In px of the grid: a map that moves less, the median over windows, has converged."""
-    large: int = 600_000
-    """In px of the grid: frames larger than this make the first round on a grid twice as coarse: bands are pixels apart
-    there, and a coarser grid brings them near at a quarter of the cost."""
-    least_cells: int = 5
-    """Cells of windows across the coarsest grid."""
-    sharper: float = 8.0
-    """Factor by which the total information must grow on a finer grid that is taken although its model fits worse: windows
-    are four times as many there, and have to be twice as certain."""
-    finest_sampling: float = 0.45
-    plain_sampling: float = 0.9
-    """`finest_sampling`, `plain_sampling`: in native px per px of the grid: of the finest grid, which shows most of a
-    picture that it oversamples twice, and of the grid on which a map is judged, about as fine as the picture."""
-    sure_coverage: float = 0.5
-    """Share of cells that windows confirm; below, blocks are compared by their outlines too."""
-    line_bands: int = 8
-    nearly: float = 0.9
-    """`line_bands`, `nearly`: bands of which the mean is looked at for displaced lines, and their explained share over that
-    of the best band."""
-    line_rounds: int = 3
-    """Of putting lines right and registering again, at most: under ±1.5 px a first map is off where windows average over
-    lines, by less in the second, and the third changes little."""
-
-
-SETTINGS = RefinementSettings()
+COARSE_BANDS = 4
+"""Bands compared on grids before the finest, evenly over the wavelengths."""
+ROUNDS, MOST_ROUNDS = 2, 8
+"""On the finest grid, that are always made, and at most."""
+CONVERGED = 0.1
+"""In px of the grid: a map that moves less, the median over windows, has converged."""
+LARGE = 600_000
+"""In px of the grid: frames larger than this make the first round on a grid twice as coarse: bands are pixels apart
+there, and a coarser grid brings them near at a quarter of the cost."""
+LEAST_CELLS = 5
+"""Cells of windows across the coarsest grid."""
+SHARPER = 8.0
+"""Factor by which the total information must grow on a finer grid that is taken although its model fits worse: windows
+are four times as many there, and have to be twice as certain."""
+FINEST_SAMPLING, PLAIN_SAMPLING = 0.45, 0.9
+"""In native px per px of the grid: of the finest grid, which shows most of a picture that it oversamples twice, and of the grid on which a
+map is judged, about as fine as the picture."""
+SURE_COVERAGE = 0.5
+"""Share of cells that windows confirm; below, blocks are compared by their outlines too."""
+LINE_BANDS, NEARLY = 8, 0.9
+"""Bands of which the mean is looked at for displaced lines, and their explained share over that of the best band."""
+LINE_ROUNDS = 3
+"""Of putting lines right and registering again, at most: under ±1.5 px a first map is off where windows average over
+lines, by less in the second, and the third changes little."""
 COARSE_SCALES = (1 / 30, INITIAL.scales[1])
 """Native px per reference px of maps of one scan: 4 to 20 px of a photograph lie in one of theirs, and half as many again."""
 
@@ -143,12 +132,12 @@ class SensorTask:
     @property
     def finest_step(self) -> int:
         """Reference px per px of the finest grid on which to compare."""
-        return max(1, round(SETTINGS.finest_sampling / self.scale))
+        return max(1, round(FINEST_SAMPLING / self.scale))
 
     @property
     def plain_step(self) -> int:
         """Reference px per px of a grid that is about as fine as the picture."""
-        return max(1, round(SETTINGS.plain_sampling / self.scale))
+        return max(1, round(PLAIN_SAMPLING / self.scale))
 
     def cell(self, step: int) -> float:
         """Return the side of a window's cell on a grid, reference px."""
@@ -197,18 +186,16 @@ class SensorTask:
         """
         explained = np.array([windows.r2.mean() for windows in found.windows])
         best = int(explained.argmax())
-        alike = np.flatnonzero(explained >= SETTINGS.nearly * explained[best]).tolist()
+        alike = np.flatnonzero(explained >= NEARLY * explained[best]).tolist()
         step, whole = self.plain_step, Composed(found.chromatic.transform(best), found.base)
         predictors = self.reference.predictor(step).images
         results = []
-        for among in ([best], evenly_spread(alike, SETTINGS.line_bands)):
-            if len(among) not in (1, SETTINGS.line_bands):
-                continue
-            image = np.mean([self.images[self.bands[i].label] for i in among], 0)
-            results.append(measure_line_displacement(predictors, image, whole, step=step))
-            if results[-1] and results[-1].displaced:
-                break
-        return max(filter(None, results), key=lambda one: one.deviations, default=None)
+        for among in ([best], evenly_spread(alike, LINE_BANDS)):
+            if len(among) in (1, LINE_BANDS) and not any(one.displaced for one in results):
+                image = np.mean([self.images[self.bands[i].label] for i in among], 0)
+                measured = measure_line_displacement(predictors, image, whole, step=step)
+                results += [measured] if measured else []
+        return max(results, key=lambda one: one.deviations, default=None)
 
     def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
         """Return whether a band sees light that the reference sees too.
@@ -276,11 +263,10 @@ class RegisteredSensor:
     @property
     def base(self) -> Transform | None:
         """Reference px → native px without the chromatic shifts of bands; None for the reference's own sensor."""
-        if self.placed is not None:
-            return self.placed.transform
-        if self.refined is None or self.correction is None:
-            return self.refined.base if self.refined else None
-        return Composed(self.refined.base, self.correction.transform())
+        if self.placed is not None or self.refined is None:
+            return self.placed and self.placed.transform
+        native = () if self.correction is None else (self.correction.transform(),)
+        return Composed(self.refined.base, *native)
 
     def knowing(self, **known: Any) -> RegisteredSensor:
         """Return the sensor with more evidence; of one without evidence nothing is known."""
@@ -308,19 +294,18 @@ def register_sensor(
     initial = begin(ours, theirs)
     if by_hand:
         initial = seed_with_points(initial, by_hand, ours, theirs)
+    sensor = bands[0].sensor
     if initial is None:
         raise refusal(
             "E_MATCHES",
             "too few key points match between this sensor and the reference",
-            field=bands[0].sensor or None,
+            field=sensor or None,
             fix=f"Check that both pictures show the same object, in focus and well exposed; if they do, {POINTS}"
-            + (", or declare the sensor's `align`." if bands[0].sensor else "."),
+            + (", or declare the sensor's `align`." if sensor else "."),
         )
-    bands = by_wavelength(bands)
-    labels = [band.label for band in bands]
-    shown = [band for band in bands if band.label in images]
+    bands, there = by_wavelength(bands), present_bands(by_wavelength(bands))
     mask = np.ones(reference.shape, bool) if ours.within is None else ours.within
-    there = present_bands(bands)
+    shown = [band for band in bands if band.label in images]
     task = SensorTask(shown, images, reference, mask, initial, by_hand)
     found = refine_map(task)
     if not is_smooth_in_wavelength(found.chromatic, shown, there):
@@ -329,48 +314,62 @@ def register_sensor(
         found = refine_map(task)
     task, found, lines, correction = _put_lines_right(task, found)
     native = () if correction is None else (correction.transform(),)
-    chromatic = chromatic_of_all(found.chromatic, task.bands, bands)
-    outlines = None
-    if found.numbers["coverage"] < SETTINGS.sure_coverage or np.isinf(
-        found.selected.held_out_error
-    ):
-        whole = Composed(found.base, *native)
+    whole, outlines = Composed(found.base, *native), None
+    if found.numbers["coverage"] < SURE_COVERAGE or np.isinf(found.selected.held_out_error):
         outlines = match_blocks(ours.greys[:], theirs.greys[:], whole, ours.within)
-    transforms: dict[str, Transform] = {
-        label: Composed(chromatic.transform(i), found.base, *native)
-        for i, label in enumerate(labels)
-    }
+    labels = [band.label for band in bands]
+    chromatic = chromatic_of_all(found.chromatic, task.bands, bands)
     sigma = measure_sigma(
-        reference.shape, labels, chromatic, found.selected, reference_sigma,
-        checks=found.checks, coarse=outlines and outlines.tolerance,
+        reference.shape, labels, chromatic, found.selected, reference_sigma, found.checks,
+        outlines and outlines.tolerance, max((one.sigma for one in (lines, correction) if one), default=0.0),
     )  # fmt: skip
-    sigma = with_lines(sigma, max((one.sigma for one in (lines, correction) if one), default=0.0))
-    evidence = Evidence(
+    return RegisteredSensor(
+        name=sensor,
+        transforms={
+            label: Composed(chromatic.transform(i), whole) for i, label in enumerate(labels)
+        },
+        chromatic=chromatic,
+        windows=dict(zip([band.label for band in task.bands], found.windows, strict=True)),
+        sigma=sigma,
+        initial=initial,
+        refined=found,
+        evidence=_evidence(task, found, outlines and outlines.to_dict(), lines, correction),
+        lines=lines,
+        correction=correction,
+    )
+
+
+def _evidence(
+    task: SensorTask,
+    found: RefinedMap,
+    outlines: dict[str, float] | None,
+    lines: LineDisplacement | None,
+    correction: LineCorrection | None,
+) -> Evidence:
+    """Return all that is known of a map."""
+    initial, selected = task.initial, found.selected
+    return Evidence(
         basis="windows",
         kept=int(initial.kept.sum()),
         key_points=len(initial.kept),
-        terms=found.selected.coefficients,
-        held_out_px=found.selected.held_out_error,
-        window_sigma_px=found.selected.window_sigma,
-        fitted_windows=len(found.selected.weights),
+        begun="outlines" if initial.by_outlines else "pairs" if initial.by_pairs else "key points",
+        terms=selected.coefficients,
+        held_out_px=selected.held_out_error,
+        window_sigma_px=selected.window_sigma,
+        fitted_windows=len(selected.weights),
         step=found.step,
         scales=task.scales if task.one_scan else SCALES,
         share_above_chance=found.test.share,
         cover=found.test.cover,
-        begun="outlines" if initial.by_outlines else "pairs" if initial.by_pairs else "key points",
         rounds=found.rounds,
         converged=found.converged,
         moved=found.moved,
         light=found.light,
-        outlines=outlines and outlines.to_dict(),
+        outlines=outlines,
         line_displacement=lines and lines.to_dict(),
         line_correction=correction and correction.to_dict(),
         **found.numbers,
     )
-    windows = dict(zip([band.label for band in task.bands], found.windows, strict=True))
-    return RegisteredSensor(
-        bands[0].sensor, transforms, chromatic, windows, sigma, initial, found, evidence, lines, correction
-    )  # fmt: skip
 
 
 def _put_lines_right(
@@ -378,13 +377,12 @@ def _put_lines_right(
 ) -> tuple[SensorTask, RefinedMap, LineDisplacement | None, LineCorrection | None]:
     """Register a picture whose lines are displaced again, put right line by line, for as long as less of it is left.
 
-    Of rows and columns that are displaced both, those that are displaced more are put right; the others are named.
-
-    Returns the task with the pictures put right, its map, how lines lie beside that, and the correction; None without one.
+    Of rows and columns that are displaced both, those that are displaced more are put right; the others are named. Returns the task with the
+    pictures put right, its map, how lines lie beside that, and the correction; None without one.
     """
     whole, now = None, task
     lines = task.measure_lines(found)
-    for _ in range(SETTINGS.line_rounds):
+    for _ in range(LINE_ROUNDS):
         rest = find_correction(lines, task.scale) if lines else None
         if lines is None or rest is None or (whole and rest.lines != whole.lines):
             break
@@ -410,7 +408,13 @@ def refine_map(task: SensorTask) -> RefinedMap:
     judged = max(way.step, task.plain_step)
     test = way.exclude_covered(best, judged)
     band, whole = task.bands[best], Composed(way.chromatic.transform(best), way.base)
-    numbers, checks = _verify(task, band, whole, judged, test)
+    step = judged * coarsening(task.reference.shape, judged)
+    bands = task.bands if task.one_scan else [band]
+    image = np.stack([highpass(task.resample(one, whole, step)) for one in bands])
+    predictors, valid = task.reference.predictor(step).images, np.isfinite(task.images[band.label])
+    numbers, checks = verify(
+        predictors, image, step, whole, task.mask, valid, test.predicted, task.cell(judged)
+    )
     return RefinedMap(
         way.base, judged, way.chromatic, way.selected, way.windows, test, band.label, way.rounds,
         way.converged, way.moved, task.light_of(band, whole, judged), numbers, checks,
@@ -437,7 +441,7 @@ class _Refinement:
         Fine grids of oversampled or noisy pictures hold less information than coarser ones, which average.
         """
         task, finest = self.task, self.task.finest_step
-        bands = evenly_spread(task.bands, SETTINGS.coarse_bands)
+        bands = evenly_spread(task.bands, COARSE_BANDS)
         identity = [Affine.identity()] * len(bands)
         known = None
         for step in pyramid_steps(task.reference.shape, finest):
@@ -445,27 +449,25 @@ class _Refinement:
             usable = has_information(fuse_windows(windows)[1]).sum()
             if usable < FusionSettings.least_windows and step > finest:
                 continue  # too little to see at this size; the initial transform stands
-            selected = fit_base(
-                self.base, windows, task.by_hand.fixed, step, task.cell(step),
-                SelectionTerms(coarse=True),
-            )  # fmt: skip
+            selected = self._fit(windows, step, SelectionTerms(coarse=True))
             now = (total_information(windows), selected.total_information)
             if known is not None and _is_less(now, known):
                 return
-            self._check(selected)
-            self.base, self.step, known = selected.transform, step, now
+            self._take(selected)
+            self.step, known = step, now
 
     def converge(self) -> None:
         """Fit base map and chromatic shifts in turns on the finest grid until the map moves no more."""
         bands, wavelengths = self.task.bands, [band.wavelength for band in self.task.bands]
         height, width = self.task.reference.shape
-        small = height * width < SETTINGS.large * self.step**2
-        planned = [self.step] * SETTINGS.rounds if small else [2 * self.step, self.step]
-        steps = planned + [self.step] * (SETTINGS.most_rounds - len(planned))
+        small = height * width < LARGE * self.step**2
+        planned = [self.step] * ROUNDS if small else [2 * self.step, self.step]
+        steps = planned + [self.step] * (MOST_ROUNDS - len(planned))
         for number, step in enumerate(steps, 1):
             self.windows = self._measure_windows(step)
             before = self.base
-            self._fit(step, SelectionTerms(depth_step=step == self.step))
+            terms = SelectionTerms(depth_step=step == self.step)
+            self._take(self._fit(self.windows, step, terms))
             moved = base_change(before, self.base, self.selected.observations.points)
             if len(bands) > 1 and not self.task.one_scan:
                 common = base_change(before, self.base, self.windows[0].centres)
@@ -474,18 +476,18 @@ class _Refinement:
                 )
             shift = float(np.sqrt(np.median((moved**2).sum(1))))
             self.rounds, self.moved = number, round(shift, 5)
-            self.converged = shift < SETTINGS.converged * self.step
+            self.converged = shift < CONVERGED * self.step
             if number >= len(planned) and self.converged:
                 return
 
     def exclude_covered(self, best: int, judged: int) -> PermutationTest:
         """Refit to windows that lie among predicted ones, where something covers part of the object."""
         test = self._test(best, judged)
-        for _ in range(SETTINGS.rounds):
+        for _ in range(ROUNDS):
             if not test.is_partly_covered:
                 break
             among = test.is_predicted_around(self.windows[0].centres)
-            self._fit(self.step, SelectionTerms(stiff=True), among)
+            self._take(self._fit(self.windows, self.step, SelectionTerms(stiff=True), among))
             self.windows = self._measure_windows(self.step)
             test = self._test(best, judged)
         return test
@@ -494,31 +496,33 @@ class _Refinement:
         own = [self.chromatic.transform(i) for i in range(len(self.task.bands))]
         return self.task.measure_shifts(self.task.bands, own, self.base, step)
 
-    def _fit(self, step: int, terms: SelectionTerms, among: np.ndarray | None = None) -> None:
-        """Fit the base map to the windows measured through the one before, record it and check it."""
-        task = self.task
-        self.selected = fit_base(
-            self.base, self.windows, task.by_hand.fixed, step, task.cell(step), terms, among
-        )
-        self._check(self.selected)
-        self.base = self.selected.transform
+    def _fit(
+        self,
+        windows: list[WindowShifts],
+        step: int,
+        terms: SelectionTerms,
+        among: np.ndarray | None = None,
+    ) -> SelectedModel:
+        by_hand, cell = self.task.by_hand.fixed, self.task.cell(step)
+        return fit_base(self.base, windows, by_hand, step, cell, terms, among)
+
+    def _take(self, selected: SelectedModel) -> None:
+        """Take a map as the base; raises RegistrationRefused of one that no camera makes."""
+        task, points = self.task, selected.observations.points
+        box, mirrored = (*points.min(0), *points.max(0)), task.initial.mirrored
+        if not is_plausible(selected.transform, box, mirrored, task.scales):
+            share = (box[2] - box[0]) * (box[3] - box[1]) / np.prod(task.reference.shape)
+            sensor = task.bands[0].sensor or None
+            raise RegistrationRefused(
+                implausible(selected.transform, box, mirrored, sensor, float(share), task.scales)
+            )
+        self.selected, self.base = selected, selected.transform
 
     def _test(self, best: int, step: int) -> PermutationTest:
         whole = Composed(self.chromatic.transform(best), self.base)
         bands = self.task.bands if self.task.one_scan else [self.task.bands[best]]
         images = [self.task.resample(band, whole, step) for band in bands]
         return run_permutation_test(self.task.reference.predictor(step), images)
-
-    def _check(self, selected: SelectedModel) -> None:
-        points = selected.observations.points
-        box = (*points.min(0), *points.max(0))
-        mirrored, sensor = self.task.initial.mirrored, self.task.bands[0].sensor or None
-        scales = self.task.scales
-        if not is_plausible(selected.transform, box, mirrored, scales):
-            height, width = self.task.reference.shape[:2]
-            share = (box[2] - box[0]) * (box[3] - box[1]) / (width * height)
-            problem = implausible(selected.transform, box, mirrored, sensor, share, scales)
-            raise RegistrationRefused(problem)
 
 
 def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]) -> bool:
@@ -528,20 +532,7 @@ def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]
     """
     if now[1] >= before[1]:
         return False
-    return now[0] is None or before[0] is None or now[0] < SETTINGS.sharper * before[0]
-
-
-def _verify(
-    task: SensorTask, band: BandImage, transform: Transform, step: int, test: PermutationTest
-) -> tuple[dict[str, Any], CheckWindows]:
-    """Verify a map on a grid of `step` reference px or coarser; `test` is of the same map at `step`."""
-    predicted, cell = test.predicted, task.cell(step)
-    step *= coarsening(task.reference.shape, step)
-    bands = task.bands if task.one_scan else [band]
-    image = np.stack([highpass(task.resample(one, transform, step)) for one in bands])
-    predictors = task.reference.predictor(step).images
-    valid = np.isfinite(task.images[band.label])
-    return verify(predictors, image, step, transform, task.mask, valid, predicted, cell)
+    return now[0] is None or before[0] is None or now[0] < SHARPER * before[0]
 
 
 def evenly_spread(items: Sequence[Item], most: int) -> list[Item]:
@@ -562,7 +553,7 @@ def pyramid_steps(shape: tuple[int, int], finest: int) -> list[int]:
     [8, 4, 2, 1]
     """
     steps = [finest]
-    least = SETTINGS.least_cells * cell_px((0, 0))
+    least = LEAST_CELLS * cell_px((0, 0))
     while min(shape) // (steps[-1] * 2) >= least and len(steps) < 4:
         steps.append(steps[-1] * 2)
     return steps[::-1]

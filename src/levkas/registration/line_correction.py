@@ -45,14 +45,12 @@ class LineCorrection:
     """Where the lines of a picture lie in the picture put right."""
 
     lines: Literal["rows", "columns"]
-    """What a line is."""
     shift: np.ndarray
     slope: np.ndarray
     """`shift`, `slope`: (lines, 2), px. How far the middle of each line lies along and across the lines, and how much
     farther its end does."""
     ends: tuple[float, float]
-    """In px: places along the lines between which they were measured: at the last one `slope` is added, at the first one
-    subtracted."""
+    """In px: places along the lines: at the last one `slope` is added, at the first one subtracted."""
     spacing: float
     """In lines: of the densest knots."""
     error: float
@@ -79,12 +77,8 @@ class LineCorrection:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers, JSON-ready, without the displacement of every line."""
-        middle, end = (part - part.mean(0) for part in (self.shift, self.slope))
-        square = (middle**2 + end**2 / 3).sum(1)
         return {
             "lines": self.lines,
-            "rms_px": round(float(np.sqrt(square.mean())) / self.scale, 4),
-            "largest_px": round(float(np.sqrt(square.max())) / self.scale, 4),
             "knots_lines": self.spacing,
             "error_px": round(self.error / self.scale, 4),
             "uneven_px": round(self.uneven, 4),
@@ -99,16 +93,14 @@ class LineCorrection:
         spacing = max(1.0, self.spacing / 2)
         first, last = float(min(lie.min(), 0.0)), float(max(lie.max(), number[-1]))
         count = int(np.ceil((last - first) / spacing)) + 3
-        even = np.ones(len(lie))
         middle, end = (
-            np.stack([_fit((lie - first) / spacing, -v, even, count) for v in part.T], 1)
+            np.stack([_fit((lie - first) / spacing, -v, np.ones(len(v)), count) for v in part.T], 1)
             for part in (self.shift, self.slope)
         )
         # A cubic spline through values that grow evenly is a straight line, and goes on as one.
         centre, half = sum(self.ends) / 2, (self.ends[1] - self.ends[0]) / 2
         steps = (np.arange(4) - 1)[None, :, None] * spacing / half
-        lattice = middle[:, None] + steps * end[:, None]
-        origin = np.array([centre, first])
+        lattice, origin = middle[:, None] + steps * end[:, None], np.array([centre, first])
         if self.lines == "columns":
             lattice, origin = lattice.transpose(1, 0, 2)[..., ::-1], origin[::-1]
         return SplineShift(origin, spacing, np.round(lattice, 5))
@@ -128,14 +120,13 @@ class LineCorrection:
         """Return this correction and another one, found in the picture that this one put right, as one."""
         number = np.arange(len(self.shift), dtype=float)
         lie = number + self.shift[:, 1]
-
-        def moved(values: np.ndarray) -> np.ndarray:
-            return np.stack([np.interp(lie, number, v) for v in values.T], 1)
-
+        shift, slope = (
+            np.stack([np.interp(lie, number, v) for v in values.T], 1)
+            for values in (rest.shift, rest.slope)
+        )
         return replace(
-            rest, shift=self.shift + moved(rest.shift), slope=self.slope + moved(rest.slope),
+            rest, shift=self.shift + shift, slope=self.slope + slope, before=self.before,
             spacing=min(self.spacing, rest.spacing), error=max(self.error, rest.error),
-            before=self.before,
         )  # fmt: skip
 
 
@@ -144,35 +135,27 @@ def find_correction(found: LineDisplacement, scale: float) -> LineCorrection | N
 
     None where no spline predicts parts that were left out, or where lines would change their order.
     """
-    course = {False: np.zeros_like(found.displacement), True: np.zeros_like(found.displacement)}
-    errors, spacings = [], [np.inf]
+    course = {of_ends: np.zeros_like(found.displacement) for of_ends in (False, True)}
+    errors, spacings = [0.0], [np.inf]
     for of_ends in found.of_ends:
         shifts = found.parts.slopes() if of_ends else found.parts
-        course[of_ends], error, spacing = _choose(shifts)
-        spacings.append(spacing)
-        errors.append(error)
-    shift, slope, spacing = course[False], course[True], min(spacings)
+        outer = np.isin(np.arange(shifts.shift.shape[1]), (0, 3))
+        outer = outer if outer.sum() > 1 else np.arange(len(outer)) == 0
+        for axis in (0, 1):
+            halves = [_mean(shifts, part, axis) for part in (outer, ~outer)]
+            spacing, error = _choose_spacing(halves, CLOSEST[axis])
+            if np.isfinite(spacing):
+                whole = _mean(shifts, np.ones_like(outer), axis)
+                course[of_ends][:, axis] = _evaluate(*whole, spacing)
+            spacings.append(spacing)
+            errors.append(error * shifts.spread)
+    spacing, shift = min(spacings), course[False]
     if not np.isfinite(spacing) or np.diff(shift[:, 1]).min() < NEAREST - 1:
         return None
     error = float(np.linalg.norm(errors))
-    return LineCorrection(found.lines, shift, slope, found.parts.ends, spacing, error, scale, found)
-
-
-def _choose(shifts: LineShifts) -> tuple[np.ndarray, float, float]:
-    """Return the course of the lines, (lines, 2) px, its standard error, px, and its spacing, infinite where nothing is predicted."""
-    last = shifts.shift.shape[1] - 1
-    outer = np.isin(np.arange(last + 1), (0, last)) if last > 1 else np.arange(last + 1) == 0
-    course = np.zeros((len(shifts.shift), 2))
-    errors, spacings = [], []
-    for axis in range(2):
-        halves = [_mean(shifts, part, axis) for part in (outer, ~outer)]
-        whole = _mean(shifts, np.ones_like(outer), axis)
-        spacing, error = _choose_spacing(halves, CLOSEST[axis])
-        spacings.append(spacing)
-        errors.append(error)
-        if np.isfinite(spacing):
-            course[:, axis] = _evaluate(*whole, spacing)
-    return course, float(np.linalg.norm(errors)) * shifts.spread, min(spacings)
+    return LineCorrection(
+        found.lines, shift, course[True], found.parts.ends, spacing, error, scale, found
+    )
 
 
 def _choose_spacing(
@@ -182,8 +165,9 @@ def _choose_spacing(
     weight, totals = halves[0][1] + halves[1][1], [float(w.sum()) for _, w in halves]
     if not min(totals) > 0:
         return np.inf, 0.0
-    # Two halves apart by d have a weighted mean of variance d² w₁ w₂ / (w₁ + w₂)².
+    # Two halves apart by d have a weighted mean of variance d² w₁ w₂ / (w₁ + w₂)²; maps follow a cubic along the scan.
     share = np.sqrt(np.prod(totals)) / sum(totals)
+    basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(weight)), 3)
     best, error, least = np.inf, 0.0, sum(float(w @ np.square(y)) for y, w in halves)
     for spacing in SPACINGS:
         if 4 * spacing > len(weight) or spacing < closest:
@@ -193,17 +177,13 @@ def _choose_spacing(
             float(w @ np.square(y - fit)) for (y, w), fit in zip(halves, (other, one), strict=True)
         )
         if missed < GAIN * least:
-            apart = _beside_cubic(one - other, weight)
+            cubic = np.linalg.solve(
+                basis.T @ (weight[:, None] * basis), basis.T @ (weight * (one - other))
+            )
+            apart = one - other - basis @ cubic
             error = share * np.sqrt(float(weight @ np.square(apart) / weight.sum()))
             best, least = float(spacing), missed
     return best, error
-
-
-def _beside_cubic(course: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return what of a course, (lines,), no cubic along the scan follows, which maps do."""
-    basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(course)), 3)
-    normal = basis.T @ (weight[:, None] * basis)
-    return np.asarray(course - basis @ np.linalg.solve(normal, basis.T @ (weight * course)))
 
 
 def _mean(shifts: LineShifts, parts: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
@@ -221,14 +201,13 @@ def _evaluate(values: np.ndarray, weight: np.ndarray, spacing: float) -> np.ndar
     """Return a spline fitted to values of all lines, (lines,), at each line; beyond what was measured it stays as it is there."""
     place = np.arange(len(values)) / spacing
     count = int(np.ceil(place[-1])) + 3
-    first, basis = _basis(place, count)
+    first = np.clip(place.astype(int), 0, count - 4)
     robust = weight
     for _ in range(ROUNDS):
         knots = _fit(place, values, robust, count)
-        course = (basis * knots[first[:, None] + np.arange(4)]).sum(1)
+        course = (spline_weights(place - first) * knots[first[:, None] + np.arange(4)]).sum(1)
         square = weight * np.square(values - course)
-        typical = STRAY**2 * float(np.median(square[weight > 0])) + 1e-9
-        robust = weight / (1 + square / typical)
+        robust = weight / (1 + square / (STRAY**2 * float(np.median(square[weight > 0])) + 1e-9))
     low, high = np.flatnonzero(weight > 0)[[0, -1]]
     near = int(np.ceil(4 / spacing))  # of single lines a few: the next one need not lie as the last
     course[:low] = course[low : low + near].mean()
@@ -236,23 +215,17 @@ def _evaluate(values: np.ndarray, weight: np.ndarray, spacing: float) -> np.ndar
     return np.asarray(course)
 
 
-def _basis(place: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first of four knots at places, (n,) in spacings, and the weights of the four."""
-    first = np.clip(place.astype(int), 0, count - 4)
-    return first, spline_weights(place - first)
-
-
 def _fit(place: np.ndarray, values: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
-    """Return the knots, (count,), of a cubic spline by weighted least squares."""
-    first, basis = _basis(place, count)
+    """Return the knots, (count,), of a cubic spline by weighted least squares; places, (n,), are in spacings."""
+    first = np.clip(place.astype(int), 0, count - 4)
+    basis = spline_weights(place - first)
     normal, right = np.zeros((4, count)), np.zeros(count)
     for i in range(4):
         right += np.bincount(first + i, weight * basis[:, i] * values, count)
         for k in range(4 - i):
-            products = weight * basis[:, i] * basis[:, i + k]
-            normal[k] += np.bincount(first + i, products, count)
+            normal[k] += np.bincount(first + i, weight * basis[:, i] * basis[:, i + k], count)
     stiff = STIFFNESS * weight.sum() / count
-    bend = np.diff(np.eye(3), n=2, axis=0)[0]  # 1 -2 1
+    bend = (1, -2, 1)
     for i in range(3):
         for k in range(3 - i):
             normal[k, i : count - 2 + i] += stiff * bend[i] * bend[i + k]

@@ -151,7 +151,7 @@ class SelectedModel:
     def held_out(self) -> np.ndarray:
         """Return how far each window, (n,), reference px, lies from a fit without its block; NaN without one."""
         missed = np.full(len(self.observations), np.nan)
-        numbers, _ = spatial_folds(self.observations.points, self.terms.apart)
+        numbers = spatial_folds(self.observations.points, self.terms.apart)[0]
         for one in self.folds:
             left_out = numbers == one.fold
             left = self.observations.part(left_out).residuals(one.transform)
@@ -207,10 +207,10 @@ def select_model(
     every = 1 + count // MOST_JUDGED
     judged = weighted.part(np.arange(count) % every == 0)
     comparison = ModelComparison(judged, terms.apart, weighted.points)
+    if standing is not None:
+        models.insert(0, Model(STANDING, 3, 0, lambda _: standing))
     for model in models:
         comparison.add(model, [model.fit])
-    if standing is not None and comparison.is_withstood_by(standing):
-        return SelectedModel(STANDING, standing, 3, comparison.scores, weighted, weights, terms)
     if not (terms.coarse or terms.stiff) and count >= LEAST_SPLINE:
         _add_bending(comparison, weighted, terms)
     best = comparison.best.model
@@ -244,8 +244,7 @@ class ModelComparison:
 
     def __init__(self, judged: Observations, apart: float, over: np.ndarray) -> None:
         self._judged = judged
-        self._folds, self._blocks = spatial_folds(judged.points, apart, over)
-        near = _near_folds(judged.points, apart, over)
+        self._folds, self._blocks, near = spatial_folds(judged.points, apart, over)
         self._rest = [judged.part((near != fold).all(0)) for fold in range(EVERY**2)]
         self._information = np.trace(judged.information, axis1=1, axis2=2)
         self.candidates: list[Candidate] = []
@@ -293,14 +292,6 @@ class ModelComparison:
         gains = gains[np.bincount(self._blocks) > 0]
         error = float(np.sqrt(len(gains)) * gains.std(ddof=1)) if len(gains) > 1 else 0.0
         return float(gains.sum()) / max(error, 1e-300)
-
-    def is_withstood_by(self, standing: Transform) -> bool:
-        """Return whether a given map, which was not fitted to these observations, predicts them as well as the best model."""
-        missed = _squares(self._judged, standing)
-        self.candidates.append(
-            Candidate(Model(STANDING, 3, 0, lambda _: standing), missed, self._error(missed))
-        )
-        return not self._gain(missed, self.best.missed) > STANDARD_ERRORS
 
     def fold_fits(self) -> tuple[FoldFit, ...]:
         """Return the best model fitted without each fold, and the share of information left out."""
@@ -369,28 +360,15 @@ def _reweight(observations: Observations, fit: Fit, fixed: int) -> tuple[Observa
 
 def spatial_folds(
     points: np.ndarray, apart: float = 0.0, over: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of the fold and of the block of each point, (n,), of blocks over all of `over`, `points` without it."""
-    low, size = _lattice(points if over is None else over, apart)
-    block = np.floor((points - low) / size).astype(int)
-    return _fold_of(block), block[:, 0] - block[:, 0].min() + 1000 * (
-        block[:, 1] - block[:, 1].min()
-    )
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the fold and the block of each point, (n,), and the folds, (9, n), to which windows within `apart` of it belong, by their numbers.
 
-
-def _near_folds(points: np.ndarray, apart: float, over: np.ndarray) -> np.ndarray:
-    """Return the folds, (9, n), to which windows within `apart` of each point belong: they share pixels with it."""
-    low, size = _lattice(over, apart)
-    steps = np.array([-apart, 0.0, apart])
-    around = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
-    return np.stack([_fold_of(np.floor((points - low + a) / size).astype(int)) for a in around])
-
-
-def _lattice(over: np.ndarray, apart: float) -> tuple[np.ndarray, float]:
-    """Return where blocks begin, and their side."""
+    Blocks lie over all of `over`, `points` without it.
+    """
+    over = points if over is None else over
     low, high = over.min(0), over.max(0)
-    return low, max(float((high - low).max()) / BLOCKS, LEAST_BLOCK * apart, 1e-9)
-
-
-def _fold_of(block: np.ndarray) -> np.ndarray:
-    return np.asarray(block[:, 0] % EVERY + EVERY * (block[:, 1] % EVERY))
+    size = max(float((high - low).max()) / BLOCKS, LEAST_BLOCK * apart, 1e-9)
+    around = apart * np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), -1).reshape(-1, 1, 2)
+    block = np.floor((points - low + around) / size).astype(int)
+    fold = block[..., 0] % EVERY + EVERY * (block[..., 1] % EVERY)
+    return fold[4], block[4, :, 0] + (BLOCKS + 1) * block[4, :, 1], fold

@@ -12,7 +12,7 @@ from levkas.registration.advice import LEAST_PAIRS
 from levkas.registration.manual_points import HAND_PX, ManualPoints
 from levkas.registration.models import fit_plane
 from levkas.registration.record import HandMark, Matches, MatchState, Sigma, refusal
-from levkas.registration.uncertainty import SETTINGS as UNCERTAINTY
+from levkas.registration.uncertainty import DECIMALS, LATTICE, lattice_over
 
 PARAMETERS = {"similarity": 4, "affine": 6, "homography": 8}
 """Parameters of each map that may be fitted, from the stiffest to the most yielding."""
@@ -64,11 +64,7 @@ class PlacedByHand:
 
         Variance of a pair times how much the place follows it, over all pairs, and the spread between the maps that the pairs allow ([buckland1997]_).
         """
-        x, y = (
-            np.round(np.linspace(0, n - 1, k), 2)
-            for n, k in zip(shape[1::-1], UNCERTAINTY.lattice, strict=True)
-        )
-        points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+        x, y, points = lattice_over(shape)
         jacobian, here = self.transform.jacobian(points), self.transform(points)
 
         def squares(other: Transform) -> np.ndarray:
@@ -84,8 +80,8 @@ class PlacedByHand:
         total = 1 + sum(weight for _, weight in self.alternatives)
         for other, weight in self.alternatives:
             variance += weight / total * squares(other)
-        values = np.sqrt(variance).reshape(UNCERTAINTY.lattice[::-1])
-        return Sigma(x, y, np.round(values, UNCERTAINTY.decimals))
+        values = np.sqrt(variance).reshape(LATTICE[::-1])
+        return Sigma(x, y, np.round(values, DECIMALS))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers of a verdict, JSON-ready; ``worst`` is the place and the error of the worst pair."""

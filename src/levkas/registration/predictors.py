@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from threading import RLock
 
+import cv2
 import numpy as np
 
 from levkas.core.threads import each, in_threads
@@ -90,14 +91,9 @@ class PredictorBasis:
 def principal_components(
     stack: np.ndarray, counts: tuple[int, int] = (LINEAR, LOGARITHMIC)
 ) -> PredictorBasis:
-    """Return the principal images of reflectance and of its logarithm.
+    """Return the principal images of reflectance and of its logarithm, at most `counts` of either.
 
-    Parameters
-    ----------
-    stack : ndarray, (bands, h, w), float32
-        Square roots of reflectance as `sqrt_transform` gives them; NaN where invalid in a band.
-    counts : (int, int)
-        At most so many images of reflectance, and of its logarithm.
+    `stack`, (bands, h, w) float32, are square roots of reflectance as `sqrt_transform` gives them, NaN where invalid in a band.
     """
     skip = 1 + int(np.sqrt(stack[0].size / SAMPLED_PX))
     far, near = stack[:, ::skip, 4::skip], stack[:, ::skip, :-4:skip]
@@ -147,14 +143,6 @@ def _principal(rough: np.ndarray, count: int) -> np.ndarray:
     return (vectors * np.sign(vectors[np.abs(vectors).argmax(0), np.arange(len(order))])).T
 
 
-def resample_bands(
-    images: Mapping[str, np.ndarray], transforms: Mapping[str, Transform], shape: tuple[int, int]
-) -> np.ndarray:
-    """Return the bands in the reference frame, (bands, h, w), in the order of `transforms`."""
-    there = [images[label] for label in transforms]
-    return np.stack(resample_all(there, list(transforms.values()), shape, 1))
-
-
 def resample_band(
     image: np.ndarray,
     transform: Transform,
@@ -186,22 +174,10 @@ def measure_shifts(
     return predictor.compare(highpass(image), ridge=ridge)
 
 
-def blur(image: np.ndarray) -> np.ndarray:
-    """Blur an image, (h, w), by (1 4 6 4 1)/16 on both axes: one pixel of sigma; NaN spreads."""
-    return _convolved(image, (1, 4, 6, 4, 1))
-
-
-def _convolved(image: np.ndarray, taps: Sequence[int]) -> np.ndarray:
-    reach = len(taps) // 2
-    for axis in (0, 1):
-        padding = [(reach, reach) if a == axis else (0, 0) for a in range(2)]
-        padded, n = np.pad(image, padding, mode="edge"), image.shape[axis]
-        total = np.zeros_like(image)
-        for k, tap in enumerate(taps):
-            cut = padded[k : k + n] if axis == 0 else padded[:, k : k + n]
-            total += np.float32(tap / sum(taps)) * cut
-        image = total
-    return image
+def blur(image: np.ndarray, taps: Sequence[int] = (1, 4, 6, 4, 1)) -> np.ndarray:
+    """Blur an image, (h, w), on both axes, by default by one pixel of sigma; NaN spreads."""
+    kernel = np.array(taps, np.float32) / sum(taps)
+    return cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE)
 
 
 def cell_px(shape: Sequence[int]) -> int:
@@ -228,15 +204,7 @@ def has_colours(bands: Sequence[np.ndarray]) -> bool:
 
 
 class ReferenceStack:
-    """Bands of the reference in its frame, and predictors made of them at any step.
-
-    Parameters
-    ----------
-    stack : ndarray, (bands, h, w)
-        Registered bands, `sqrt_transform`; NaN where invalid.
-    wavelengths : sequence of float
-        Of the bands, nm; NaN where not known.
-    """
+    """Bands of the reference in its frame, (bands, h, w) by `sqrt_transform`, NaN where invalid, and predictors made of them at any step; wavelengths in nm, NaN where not known."""
 
     def __init__(self, stack: np.ndarray, wavelengths: Sequence[float] = ()) -> None:
         self.palette = principal_components(stack)
@@ -273,9 +241,7 @@ class ReferenceStack:
         palette = self.palette
         if step > 1:
             # The target's samples are averages taken through the spline; so are these.
-            small = np.stack(
-                [_convolved(reduce(image, step), (1, 4, 1)) for image in palette.images]
-            )
+            small = np.stack([blur(reduce(image, step), (1, 4, 1)) for image in palette.images])
             palette = PredictorBasis(small, palette.loadings, palette.groups)
         images = palette.high_passed().images
         return Predictor(images, step=step, cell=cell_px(images.shape[1:]))
@@ -284,16 +250,9 @@ class ReferenceStack:
 class PreparedReference:
     """Reference camera with its predictors and key points, prepared once for all cameras registered to it.
 
-    Parameters
-    ----------
-    band : str
-        Label of the band that defines reference px.
-    region : (x, y, width, height), reference px, optional
-        Of the published frame; nothing outside is used.
-    outline : (n, 2) corners, reference px, optional
-        Of the object, where it is declared; without it the object is segmented from an even ground.
-    area : ObjectArea, optional
-        Where the object lies, where that is known already.
+    `band` is the label of the band that defines reference px, `region`, (x, y, width, height), that of the published frame: nothing outside
+    is used. The object lies in `area`, where that is known already, else within `outline`, (n, 2) corners; without both it is segmented
+    from an even ground.
     """
 
     def __init__(
@@ -337,9 +296,9 @@ class PreparedReference:
         """Return the predictors of other bands; `transforms` of the reference camera's own bands."""
         if self._stack is None:
             bands = self.predicting()
-            masked = {band.label: self.object_in(band) for band in bands}
-            known = {band.label: transforms[band.label] for band in bands}
-            stack = resample_bands(masked, known, self.anchor.values.shape)
+            masked, maps = [self.object_in(b) for b in bands], [transforms[b.label] for b in bands]
+            height, width = self.anchor.values.shape
+            stack = np.stack(resample_all(masked, maps, (height, width), 1))
             self._stack = ReferenceStack(stack, [band.wavelength for band in bands])
         return self._stack
 

@@ -18,17 +18,19 @@ if TYPE_CHECKING:
     from levkas.registration.model_selection import SelectedModel
     from levkas.registration.window_matching import CheckWindows
 
-COLUMNS = (
-    "reference_x",
-    "reference_y",
-    "target_x",
-    "target_y",
-    "residual",
-    "leave_one_out",
-    "weight",
-    "state",
-    "reason",
-    "round",
+COLUMNS = tuple(
+    [
+        "reference_x",
+        "reference_y",
+        "target_x",
+        "target_y",
+        "residual",
+        "leave_one_out",
+        "weight",
+        "state",
+        "reason",
+        "round",
+    ]
 )
 Decision = Literal["accept", "warn", "by hand", "refuse"]
 
@@ -125,7 +127,7 @@ class Matches:
     def of(cls, reference: np.ndarray, target: np.ndarray, **known: np.ndarray) -> Matches:
         """Return matches of two (n, 2) arrays, all kept unless `known` says otherwise."""
         n = len(reference)
-        columns: dict[str, np.ndarray] = {
+        columns = {
             "residual": np.full(n, np.nan),
             "leave_one_out": np.full(n, np.nan),
             "weight": np.ones(n),
@@ -150,16 +152,16 @@ class Matches:
 
     def rows(self) -> Iterator[tuple[str, ...]]:
         """Yield the rows of CAMERA.matches.csv as text, columns as `COLUMNS` orders them."""
-        for i in range(len(self)):
-            numbers = (*self.reference[i], *self.target[i], self.residual[i])
-            numbers += (self.leave_one_out[i], self.weight[i])
-            left = int(self.round[i])
-            yield (
-                *(_number(v) for v in numbers),
-                str(self.state[i]),
-                str(self.reason[i]),
-                "" if left < 0 else str(left),
+        numbers = np.column_stack(
+            [self.reference, self.target, self.residual, self.leave_one_out, self.weight]
+        )
+        for row, state, reason, left in zip(
+            numbers, self.state, self.reason, self.round, strict=True
+        ):
+            texts = (
+                "" if np.isnan(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in row.tolist()
             )
+            yield (*texts, str(state), str(reason), "" if left < 0 else str(int(left)))
 
 
 @dataclass(frozen=True)
@@ -334,48 +336,36 @@ class Registration:
 
 
 def describe_windows(
-    sensor: str, source: str, band: str, selected: SelectedModel, checks: CheckWindows | None
+    sensor: str, source: str, band: str, selected: SelectedModel, checks: CheckWindows
 ) -> dict[str, Any]:
     """Return the windows on which the base map of a sensor rests, JSON-ready; a list a column, reference px.
 
-    Parameters
-    ----------
-    source : str
-        ``"fused"`` where the windows of several bands were put together, else the band.
-    band : str
-        By which the map was checked.
-
-    Returns
-    -------
-    record : dict
-        ``windows``: ``x``, ``y``; ``shift_x``, ``shift_y`` from where the map puts a window to where it is
-        found; ``sigma`` of that, either axis; ``held_out``, the length of the same shift from a map that was
-        fitted without its block (None where there is none); ``weight`` in the fit, 0..1. ``count`` of all
-        windows, of which at most 1000, evenly, are written. ``checks``: the windows that were searched freely.
+    `source` is ``"fused"`` where the windows of several bands were put together, else the band; by `band` the map was checked.
+    ``windows``: ``x``, ``y``; ``shift_x``, ``shift_y`` from where the map puts a window to where it is
+    found; ``sigma`` of that, either axis; ``held_out``, the length of the same shift from a map that was
+    fitted without its block (None where there is none); ``weight`` in the fit, 0..1. ``count`` of all
+    windows, of which at most 1000, evenly, are written. ``checks``: the windows that were searched freely.
     """
     observations = selected.observations
-    every = max(1, -(-len(observations) // MOST_WINDOWS))
-    chosen = slice(None, None, every)
-    shift = observations.residuals(selected.transform)[chosen]
-    known = np.trace(observations.information, axis1=1, axis2=2)[chosen] / 2
-    held_out = selected.held_out()[chosen]
+    chosen = slice(None, None, max(1, -(-len(observations) // MOST_WINDOWS)))
+    known = np.trace(observations.information, axis1=1, axis2=2) / 2
+    columns = {
+        "x": (observations.points[:, 0], 1),
+        "y": (observations.points[:, 1], 1),
+        "shift_x": (observations.residuals(selected.transform)[:, 0], 4),
+        "shift_y": (observations.residuals(selected.transform)[:, 1], 4),
+        "sigma": (np.where(known > 0, known, np.nan) ** -0.5, 4),
+        "held_out": (selected.held_out(), 4),
+        "weight": (selected.weights, 3),
+    }
     return {
         "sensor": sensor,
         "source": source,
         "band": band,
         "count": len(observations),
         "windows": {
-            "x": np.round(observations.points[chosen, 0], 1).tolist(),
-            "y": np.round(observations.points[chosen, 1], 1).tolist(),
-            "shift_x": np.round(shift[:, 0], 4).tolist(),
-            "shift_y": np.round(shift[:, 1], 4).tolist(),
-            "sigma": [round(float(k**-0.5), 4) if k > 0 else None for k in known],
-            "held_out": [round(float(v), 4) if np.isfinite(v) else None for v in held_out],
-            "weight": np.round(selected.weights[chosen], 3).tolist(),
+            name: plain(np.round(values[chosen], digits).tolist())
+            for name, (values, digits) in columns.items()
         },
-        "checks": None if checks is None else checks.to_dict(),
+        "checks": checks.to_dict(),
     }
-
-
-def _number(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.6f}".rstrip("0").rstrip(".")

@@ -15,8 +15,8 @@ from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
 from levkas.registration.bands import BandImage, by_wavelength, present_bands
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
-from levkas.registration.coarse_to_fine import SETTINGS as REFINEMENT
 from levkas.registration.coarse_to_fine import (
+    LARGE,
     RegisteredSensor,
     evenly_spread,
     frame_centre,
@@ -112,7 +112,7 @@ class _Bands:
 
     def align(self, model: ChromaticShifts) -> tuple[ChromaticShifts, list[WindowShifts]]:
         """Return the shifts of all bands, and the windows of the last round."""
-        small = self.pictures[self.fixed].size < REFINEMENT.large
+        small = self.pictures[self.fixed].size < LARGE
         step = max(self._most_informative_step(), 1 if small else 2)
         near = self._bring_near(model)
         if near is not model:  # the reference band alone predicts other bands badly

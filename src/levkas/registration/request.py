@@ -72,15 +72,11 @@ def read_options(model: type[BaseModel], options: Mapping[str, Any]) -> BaseMode
     except ValidationError as error:
         named = {problem.field for problem in problems}
         for one in error.errors():
-            name = str(one["loc"][0])
-            if f"registration.{name}" not in named:
+            name, text = str(one["loc"][0]), requirement(str(one["msg"]))
+            field = f"registration.{name}"
+            if field not in named:
                 problems.append(
-                    Problem(
-                        "E_VALUE",
-                        f"{name} {requirement(str(one['msg']))}",
-                        field=f"registration.{name}",
-                        found=one["input"],
-                    )
+                    Problem("E_VALUE", f"{name} {text}", field=field, found=one["input"])
                 )
     if problems:
         raise RegistrationRefused(*problems)
@@ -89,43 +85,29 @@ def read_options(model: type[BaseModel], options: Mapping[str, Any]) -> BaseMode
 
 def check_request(request: Request, method: str, methods: Iterable[str]) -> None:
     """Raise `RegistrationRefused` with everything that is wrong with a request."""
-    problems = [
-        *_check_method(method, methods),
-        *_check_bands("reference", request.reference),
-        *([] if request.is_own else _check_bands("target", request.target)),
-    ]
-    labels = [image.label for image in request.reference]
-    if labels and request.reference_band not in labels:
+    problems = []
+    if method not in (known := sorted(methods)):
+        why = f": {UNUSABLE[method]}" if method in UNUSABLE else ""
         problems.append(
-            Problem(
-                "E_BAND_MISSING",
-                f"unknown reference band {request.reference_band!r}",
-                field="reference_band",
-                found=request.reference_band,
-                expected=", ".join(labels[:12]),
-            )
+            _wrong("method", method, ", ".join(known), f"unknown method {method!r}{why}")
         )
-    problems += _check_region(request.region)
+    problems += _check_bands("reference", request.reference)
+    problems += [] if request.is_own else _check_bands("target", request.target)
+    labels, band = [image.label for image in request.reference], request.reference_band
+    if labels and band not in labels:
+        text, expected = f"unknown reference band {band!r}", ", ".join(labels[:12])
+        problems.append(
+            Problem("E_BAND_MISSING", text, field="reference_band", found=band, expected=expected)
+        )
+    region = request.region
+    if region is not None and not (
+        len(region) == 4 and all(map(isfinite, region)) and min(region[2:]) > 0
+    ):
+        problems.append(_wrong("region", tuple(region), "x, y, width, height; both > 0"))
     if request.outline is not None and labels:
         problems += check_outline(request.outline, request.reference[0].size)
     if problems:
         raise RegistrationRefused(*problems)
-
-
-def _check_method(method: str, methods: Iterable[str]) -> list[Problem]:
-    known = sorted(methods)
-    if method in known:
-        return []
-    why = UNUSABLE.get(method)
-    return [
-        Problem(
-            "E_VALUE",
-            f"unknown registration method {method!r}" + (f": {why}" if why else ""),
-            field="registration.method",
-            found=method,
-            expected=", ".join(known),
-        )
-    ]
 
 
 def check_thresholds(reject: float | None, stop: float) -> list[Problem]:
@@ -134,29 +116,24 @@ def check_thresholds(reject: float | None, stop: float) -> list[Problem]:
     >>> [p.field for p in check_thresholds(108.0, 0.0)]
     ['registration.stop']
     """
-    problems = []
-    for name, value in (("reject", reject), ("stop", stop)):
-        if value is not None and not _positive(value):
-            problems.append(_value_problem(name, value, "a finite number of reference pixels > 0"))
+    problems = [
+        _wrong(name, value, "a finite number of reference pixels > 0")
+        for name, value in (("reject", reject), ("stop", stop))
+        if value is not None and not _is_positive(value)
+    ]
     if not problems and reject is not None and reject <= stop:
-        problems.append(_value_problem("reject", reject, f"more than stop, which is {stop}"))
+        problems.append(_wrong("reject", reject, f"more than stop, which is {stop}"))
     return problems
 
 
-def _positive(value: Any) -> bool:
+def _is_positive(value: Any) -> bool:
     number = isinstance(value, (int, float, np.integer, np.floating))
     return bool(number and not isinstance(value, bool) and isfinite(value) and value > 0)
 
 
-def _value_problem(name: str, value: Any, expected: str) -> Problem:
-    return Problem(
-        "E_VALUE",
-        f"the value of `{name}` is not valid",
-        field=f"registration.{name}",
-        found=value,
-        expected=expected,
-        fix=f"Give `{name}` in reference pixels, or remove it.",
-    )
+def _wrong(name: str, value: Any, expected: str, message: str = "") -> Problem:
+    message = message or f"the value of `{name}` is not valid"
+    return Problem("E_VALUE", message, field=f"registration.{name}", found=value, expected=expected)
 
 
 def _check_bands(name: str, images: Sequence[BandImage]) -> list[Problem]:
@@ -164,70 +141,48 @@ def _check_bands(name: str, images: Sequence[BandImage]) -> list[Problem]:
         return [Problem("E_BAND_MISSING", f"the {name} has no bands", field=name, found=0)]
     problems = []
     labels = [image.label for image in images]
-    twice = sorted({label for label in labels if labels.count(label) > 1})
+    twice = ", ".join(sorted({label for label in labels if labels.count(label) > 1}))
     if twice:
-        problems.append(
-            Problem(
-                "E_BAND_TWICE",
-                f"two bands of the {name} have the same label",
-                found=", ".join(twice),
-            )
-        )
+        text = f"two bands of the {name} have the same label"
+        problems.append(Problem("E_BAND_TWICE", text, field=name, found=twice))
     sizes: dict[str, tuple[int, int]] = {}
     for image in images:
-        if sizes.setdefault(image.sensor, image.size) != image.size:
-            problems.append(
-                Problem(
-                    "E_SIZE",
-                    f"bands of one sensor of the {name} differ in size",
-                    field=image.label,
-                    found=image.size,
-                    expected=sizes[image.sensor],
+        size, whole = image.size, sizes.setdefault(image.sensor, image.size)
+        for text, expected, good in (
+            (f"bands of one sensor of the {name} differ in size", whole, whole == size),
+            (
+                f"a band of the {name} is too small to register",
+                f"at least {LEAST_SIDE_PX} px a side",
+                min(size) >= LEAST_SIDE_PX,
+            ),
+        ):
+            if not good:
+                problems.append(
+                    Problem("E_SIZE", text, field=image.label, found=size, expected=expected)
                 )
-            )
-        if min(image.size) < LEAST_SIDE_PX:
-            problems.append(
-                Problem(
-                    "E_SIZE",
-                    f"a band of the {name} is too small to register",
-                    field=image.label,
-                    found=image.size,
-                    expected=f"at least {LEAST_SIDE_PX} px a side",
-                )
-            )
     return problems
 
 
 def check_outline(outline: Corners, size: tuple[int, int]) -> list[Problem]:
     """Return what is wrong with an outline, (n, 2) px, in a frame (width, height): few corners, or some outside.
 
-    >>> [p.message for p in check_outline([(0, 0), (90, 0), (90, 50)], (80, 60))]
-    ['the outline has corners outside the reference']
+    >>> [p.field for p in check_outline([(0, 0), (90, 0), (90, 50)], (80, 60))]
+    ['outline']
     """
     corners = np.asarray(outline, float).reshape(-1, 2)
     if len(corners) < 3 or not np.isfinite(corners).all():
-        return [_value_problem("outline", len(corners), "three or more corners (x, y)")]
+        return [_wrong("outline", len(corners), "three or more corners (x, y)")]
     # Half a pixel at the rim belongs to the frame, and hands write its width for its last column.
     outside = ((corners < -1) | (corners > np.array(size))).any(1)
     if not outside.any():
         return []
-    listed = "; ".join(f"({x:g}, {y:g})" for x, y in corners[outside][:4])
     return [
         Problem(
             "E_VALUE",
             "the outline has corners outside the reference",
             field="outline",
-            found=listed,
+            found="; ".join(f"({x:g}, {y:g})" for x, y in corners[outside][:4]),
             expected=f"within {size[0]} x {size[1]} px, native px of the reference band",
             fix="Draw the outline within the frame; objects that it cuts end at its rim.",
         )
     ]
-
-
-def _check_region(region: Sequence[float] | None) -> list[Problem]:
-    if region is None:
-        return []
-    good = len(region) == 4 and all(isfinite(v) for v in region) and min(region[2:]) > 0
-    return (
-        [] if good else [_value_problem("region", tuple(region), "x, y, width, height; both > 0")]
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from levkas.registration.record import (
     RegistrationRefused,
     refusal,
 )
-from levkas.registration.request import Request
+from levkas.registration.request import Request, check_request, read_options
 
 if TYPE_CHECKING:
     from levkas.registration.manual_points import ManualPoints
@@ -29,16 +29,8 @@ BUILT_IN = {
 """Module and function of the built-in methods, imported when first used."""
 OF_PICTURES = {"E_MATCHES", "E_WINDOWS", "E_SCALE", "E_FOLD"}
 """Codes of refusals for which a person's pairs help."""
-FURTHER = {
-    "outline",
-    "layer",
-    "target_region",
-    "align",
-    "one_scan",
-    "reference_transforms",
-    "reference_sigma",
-    "prepared",
-}
+FURTHER = {field.name for field in fields(Request)} - {"region", "given"}
+"""Fields of the request that are given by name."""
 
 
 def register(
@@ -55,16 +47,14 @@ def register(
 
     Parameters
     ----------
-    reference : ndarray, (h, w) or (h, w, bands), or sequence of BandImage
-        Pixels of the reference camera, at least 16 px a side, in any unit. Integers and floats are taken; a
-        value that is not finite is not used. Bands of an array are labelled ``"1"``, ``"2"``, …
-    target : ndarray, (h, w) or (h, w, bands), or sequence of BandImage
-        Pixels of the camera to register, of any size; the same object as `reference` for the reference
-        camera's own bands.
+    reference, target : ndarray, (h, w) or (h, w, bands), or sequence of BandImage
+        Pixels of the reference camera and of the camera to register, at least 16 px a side, in any unit; the same object for the
+        reference camera's own bands. A value that is not finite is not used. Bands of an array are labelled ``"1"``, ``"2"``, …
     reference_band : str, optional
         Label of the band of `reference` that defines reference px. Default: the middle band.
     method : str
-        A key of `METHODS`: ``"levkas"``, ``"mirhashemi2019"``, or one of an installed package.
+        A key of `METHODS`: ``"levkas"`` (docs/explanation/registration.md), ``"mirhashemi2019"`` (section 3.5 of [mirhashemi2019]_,
+        doi:10.3390/computation7030047), or one of an installed package.
     region : (x, y, width, height), reference px, optional
         Where the object lies; nothing outside is used or judged.
     given : mapping of sensor name to ManualPoints, optional
@@ -88,11 +78,6 @@ def register(
         ``E_MATCHES`` and others where no map is found; ``E_VALUE``, ``E_SIZE``, ``E_BAND_MISSING`` or
         ``E_BAND_TWICE`` where an argument is wrong.
 
-    Notes
-    -----
-    The method ``"mirhashemi2019"`` is section 3.5 of [mirhashemi2019]_, doi:10.3390/computation7030047. The default method
-    is described in docs/explanation/registration.md.
-
     Examples
     --------
     A picture, and the same scene moved by 5 px and 3 px:
@@ -107,7 +92,6 @@ def register(
     [[145.0, 117.0]]
     """
     from levkas.core.machine import steady_libraries
-    from levkas.registration.request import check_request, read_options
 
     own = target is reference
     reference = _bands_of(reference, "reference")
@@ -122,15 +106,19 @@ def register(
     placed = any(pairs.accepted for pairs in given.values())
     if placed and method != DEFAULT_METHOD:  # it places by pairs, with no option of another's
         method, chosen = DEFAULT_METHOD, read_options(METHODS[DEFAULT_METHOD].options, {})
-    run = _function(method)
     pairs_given = max((len(pairs.fixed) for pairs in given.values()), default=0)
     try:
         with steady_libraries():
-            found = _run(run, request, chosen)
+            found = _run(_function(method), request, chosen)
     except RegistrationRefused as refused:
+        # Problems of the pictures, not of the arguments, name the workbench.
+        problems = (
+            replace(one, fix=advise(one.fix or "", pairs_given)) if one.code in OF_PICTURES else one
+            for one in refused.problems
+        )
         if placed:
             raise
-        raise _with_advice(refused, pairs_given) from None
+        raise RegistrationRefused(*problems, trace=refused.trace) from None
     _require_maps(found, request, method)
     if not placed:
         step = advise(found.verdict.next_step, pairs_given, found.verdict.decision)
@@ -167,15 +155,6 @@ def _require_maps(found: Registration, request: Request, method: str) -> None:
             expected="a transform of every band of the target, by its label",
             fix="Report this to the author of the method, or choose another one.",
         )
-
-
-def _with_advice(refused: RegistrationRefused, pairs: int) -> RegistrationRefused:
-    """Return a refusal in which problems of the pictures, not of the arguments, name the workbench."""
-    problems = (
-        replace(one, fix=advise(one.fix or "", pairs)) if one.code in OF_PICTURES else one
-        for one in refused.problems
-    )
-    return RegistrationRefused(*problems, trace=refused.trace)
 
 
 def _bands_of(pixels: np.ndarray | Sequence[BandImage], name: str) -> Sequence[BandImage]:
@@ -219,31 +198,31 @@ def _with_checks(
     from levkas.registration.manual_points import measure_checks, with_checks
 
     report: list[dict[str, Any]] = []
-    matches, others = found.matches, dict(found.others)
+    tables = {target[0].sensor: found.matches, **found.others}
     for sensor, pairs in given.items():
         first = next((image.label for image in target if image.sensor == sensor), None)
         if first is None or not len(pairs.checks):
             continue
         labels = [label or first for label in pairs.placed or ("",) * len(pairs.checks)]
-        errors = np.full(len(labels), np.nan)
-        for label in dict.fromkeys(labels):
-            here = np.array([one == label for one in labels])
-            errors[here] = measure_checks(pairs.checks[here], found.transforms[label])
-        if sensor == target[0].sensor:
-            matches = with_checks(matches, pairs.checks, errors)
-        elif sensor in others:
-            others[sensor] = with_checks(others[sensor], pairs.checks, errors)
+        errors = np.array(
+            [
+                measure_checks(pair[None], found.transforms[label])[0]
+                for label, pair in zip(labels, pairs.checks, strict=True)
+            ]
+        )
+        if sensor in tables:
+            tables[sensor] = with_checks(tables[sensor], pairs.checks, errors)
         report += [
             {
-                "band": label,
+                "band": b,
                 "reference": pair[:2].tolist(),
                 "target": pair[2:].tolist(),
-                "error": float(error),
+                "error": float(e),
             }
-            for label, pair, error in zip(labels, pairs.checks, errors, strict=True)
+            for b, pair, e in zip(labels, pairs.checks, errors, strict=True)
         ]
     if not report:
         return found
-    return replace(
-        found, matches=matches, others=others, errors={**found.errors, "check_points": report}
-    )
+    matches = tables.pop(target[0].sensor)
+    errors_found = {**found.errors, "check_points": report}
+    return replace(found, matches=matches, others=tables, errors=errors_found)
