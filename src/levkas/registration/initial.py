@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -29,9 +28,6 @@ from levkas.registration.features import (
 from levkas.registration.matching import TentativeMatches, match_mutually, match_widely, unique_rows
 from levkas.registration.orientation_correlation import match_by_directions, match_near
 from levkas.registration.pose_clustering import REACH, find_pose_cluster
-
-if TYPE_CHECKING:
-    from levkas.registration.orientation_correlation import BlockMatches
 
 
 @dataclass(frozen=True)
@@ -150,12 +146,8 @@ def find_coarse_transform(
 
 def _by_directions(reference: CameraFeatures, target: CameraFeatures) -> InitialTransform | None:
     """Return the affine map on which blocks agree by the directions of their edges, or None."""
-    found: BlockMatches | None = match_by_directions(
-        reference.greys[:], target.greys[:], reference.within
-    )
-    return found and InitialTransform(
-        found.transform, found.reference, found.target, found.kept, found.mirrored, by_outlines=True
-    )
+    found = match_by_directions(reference.greys[:], target.greys[:], reference.within)
+    return found and InitialTransform(*found, by_outlines=True)
 
 
 def _attempt(

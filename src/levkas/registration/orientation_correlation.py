@@ -39,10 +39,10 @@ class OrientationSettings:
     smoothing_of_blocks: float = 1.5
     surround: float = 6.0
     """Sigma of the Gaussian before gradients are taken, and over which these are set in relation to their surroundings."""
-    quadrants: tuple[float, ...] = (0.0, 90.0)
+    quadrants: tuple[float, ...] = (0.0, 90.0, 180.0, 270.0)
     turns: tuple[float, ...] = (-10.0, -5.0, 0.0, 5.0, 10.0)
     scales: tuple[float, ...] = (0.64, 0.71, 0.8, 0.89, 1.0, 1.12, 1.25, 1.4, 1.57)
-    """Poses: each quadrant with each turn about it, degrees, and the same half turned, by each scale relative to frames that show the same."""
+    """Poses: each quadrant with each turn about it, degrees, by each scale relative to frames that show the same."""
     candidates: int = 6
     apart: tuple[float, float] = (12.0, 1.28)
     """Poses that are refined; degrees, and ratio of scales, beyond which two differ."""
@@ -122,12 +122,12 @@ class BlockShifts(NamedTuple):
 
 
 class BlockMatches(NamedTuple):
-    """Centres of blocks in either picture, (n, 2) px, ``kept`` (n,) bool, and the affine map of these."""
+    """Affine map on which blocks agree, their centres in either picture, (n, 2) px, and which are ``kept``, (n,) bool."""
 
+    transform: Affine
     reference: np.ndarray
     target: np.ndarray
     kept: np.ndarray
-    transform: Affine
     mirrored: bool
 
 
@@ -208,79 +208,55 @@ def _sum(fields: Sequence[EdgeField]) -> EdgeField:
     return EdgeField(values, np.any([field.valid for field in fields], axis=0))
 
 
-Parts = tuple[np.ndarray, ...]
-"""Transforms of both parts of a field, of its power and of where it is valid."""
-
-
-def _transforms(field: EdgeField, shape: tuple[int, ...]) -> Parts:
+def _transforms(field: EdgeField, shape: tuple[int, ...]) -> list[np.ndarray]:
+    """Return the transforms of both parts of a field, of its power and of where it is valid."""
     values = field.values
     parts = (values.real, values.imag, np.square(np.abs(values)), field.valid.astype(np.float32))
-    return tuple(fft.rfft2(part, shape) for part in parts)
-
-
-def _best_shift(
-    mine: Parts, theirs: Parts, shape: tuple[int, ...], energy: float
-) -> tuple[float, np.ndarray]:
-    """Return the score and the place, (row, column), of the best of all shifts; `energy` is that of the weaker field.
-
-    The score is the correlation over what both show, times the root of the share that they share. Only the real part of the correlation
-    counts, so that real transforms of either part suffice.
-    """
-    cross = fft.irfft2(mine[0] * theirs[0] + mine[1] * theirs[1], shape)
-    powers = [fft.irfft2(a, shape) for a in (mine[2] * theirs[3], mine[3] * theirs[2])]
-    shared = np.sqrt(np.maximum(powers[0], 0) * np.maximum(powers[1], 0))
-    share = np.minimum(shared / energy, 1)
-    scores = cross * np.sqrt(share) / np.maximum(shared, 1e-9)
-    scores = np.where(share > SETTINGS.least_overlap, scores, -1.0)
-    k = int(scores.argmax())
-    return float(scores.flat[k]), np.array(np.unravel_index(k, scores.shape))
+    return [fft.rfft2(part, shape) for part in parts]
 
 
 def find_poses(
-    ours: ReducedPictures,
-    theirs: ReducedPictures,
-    poses: Sequence[CoarsePose],
-    sigma: float,
-    *,
-    half_turned: bool = False,
+    ours: ReducedPictures, theirs: ReducedPictures, poses: Sequence[CoarsePose]
 ) -> list[CoarsePose]:
     """Return `poses` with the shift at which edges agree best, and their scores, the best first.
 
-    With `half_turned` each pose is tried turned by 180 degrees too: to correlate with a field that is turned is to convolve with it as it is.
+    The score is the correlation over what both show, times the root of the share that they share. Only its real part counts, so that real
+    transforms of either part suffice; they are as large as the two fields side by side, so that nothing wraps around.
     """
     longest = 2 * max(*ours.shape, *theirs.shape)
-    own, known = ours.directions(sigma), {}
+    corners = np.array(list(product((0, theirs.shape[1] - 1), (0, theirs.shape[0] - 1))), float)
+    own, known = ours.directions(SETTINGS.smoothing), {}
     energy = float(np.square(np.abs(own.values)).sum())
 
-    def placed(pose: CoarsePose) -> list[CoarsePose]:
+    def placed(pose: CoarsePose) -> CoarsePose | None:
         linear = _linear(pose, ours, theirs)
-        corners = np.array(list(product((0, theirs.shape[1] - 1), (0, theirs.shape[0] - 1))), float)
         laid = corners @ np.linalg.inv(linear).T
-        low, size = laid.min(0), np.ceil(np.ptp(laid, 0)).astype(int) + 1
+        low, size = laid.min(0), np.ceil(np.ptp(laid, 0)).astype(int)[::-1] + 1
         if size.max() > longest:
-            return []
+            return None
         # px of the grid → px of theirs
-        field = theirs.warped(np.column_stack([linear, linear @ low]), tuple(size[::-1]), sigma)
-        # as large as the two fields side by side, so that nothing wraps around
-        sides = zip(ours.shape, field.values.shape, strict=True)
-        shape = tuple(fft.next_fast_len(a + b, real=True) for a, b in sides)
+        grid = np.column_stack([linear, linear @ low])
+        field = theirs.warped(grid, tuple(size), SETTINGS.smoothing)
+        shape = tuple(
+            fft.next_fast_len(int(a + b), real=True) for a, b in zip(ours.shape, size, strict=True)
+        )
         if shape not in known:
-            known[shape] = _transforms(own, shape)
-        least = max(min(energy, float(np.square(np.abs(field.values)).sum())), 1e-12)
-        there = _transforms(field, shape)
-        score, place = _best_shift(tuple(np.conj(a) for a in known[shape]), there, shape, least)
+            known[shape] = [np.conj(part) for part in _transforms(own, shape)]
+        mine, there = known[shape], _transforms(field, shape)
+        cross = fft.irfft2(mine[0] * there[0] + mine[1] * there[1], shape)
+        powers = [fft.irfft2(a, shape) for a in (mine[2] * there[3], mine[3] * there[2])]
+        shared = np.sqrt(np.maximum(powers[0], 0) * np.maximum(powers[1], 0))
+        whole = max(min(energy, float(np.square(np.abs(field.values)).sum())), 1e-12)
+        share = np.minimum(shared / whole, 1)
+        scores = cross * np.sqrt(share) / np.maximum(shared, 1e-9)
+        scores = np.where(share > SETTINGS.least_overlap, scores, -1.0)
+        place = np.array(np.unravel_index(int(scores.argmax()), shape))
         # negative shifts lie at the far end
-        shift = np.where(place < size[::-1], place, place - shape)[::-1]
-        whole = np.column_stack([linear, linear @ (low + shift)])
-        found = [pose._replace(score=score, matrix=whole)]
-        if half_turned:
-            score, place = _best_shift(known[shape], there, shape, least)
-            whole = np.column_stack([-linear, linear @ (low + place[::-1])])
-            found.append(pose._replace(score=score, matrix=whole, angle=pose.angle + np.pi))
-        return found
+        shift = np.where(place < size, place, place - shape)[::-1]
+        matrix = np.column_stack([linear, linear @ (low + shift)])
+        return pose._replace(score=float(scores.max()), matrix=matrix)
 
-    found = [pose for of_one in each(placed, poses) for pose in of_one]
-    return sorted(found, key=lambda pose: -pose.score)
+    return sorted(filter(None, each(placed, poses)), key=lambda pose: -pose.score)
 
 
 def _linear(pose: CoarsePose, ours: ReducedPictures, theirs: ReducedPictures) -> np.ndarray:
@@ -306,8 +282,7 @@ def match_by_directions(
     ]
     side = SETTINGS.coarse_side
     ours, theirs = ReducedPictures(reference, side, within), ReducedPictures(target, side)
-    found = find_poses(ours, theirs, begun, SETTINGS.smoothing, half_turned=True)
-    best = _refined(found, reference, target, within)
+    best = _refined(find_poses(ours, theirs, begun), reference, target, within)
     if best is None:
         return None
     return match_near(reference, target, Affine(best.matrix), within, mirrored=best.mirrored)
@@ -332,7 +307,7 @@ def match_near(
         if kept.sum() < SETTINGS.least_blocks or kept.mean() < SETTINGS.least_share:
             return None
         fitted = Affine.fit(p[kept], q[kept])
-    return BlockMatches(p, q, kept, fitted, mirrored)
+    return BlockMatches(fitted, p, q, kept, mirrored)
 
 
 def _refined(
@@ -357,7 +332,7 @@ def _refined(
                 pose._replace(angle=pose.angle + np.deg2rad(turn * i), scale=pose.scale * growth**j)
                 for i, j in product((-1, 0, 1), (-1, 0, 1))
             ]
-            pose = next(iter(find_poses(ours, theirs, near, SETTINGS.smoothing)), pose)
+            pose = next(iter(find_poses(ours, theirs, near)), pose)
         refined.append(pose)
     refined.sort(key=lambda pose: -pose.score)
     best, others = refined[0], refined[1:]
