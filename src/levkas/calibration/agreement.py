@@ -70,21 +70,9 @@ Valued = tuple[Stated, Any]
 
 @dataclass(frozen=True)
 class Contradiction:
-    """What a file states, and what another file, campaign.toml or its name states instead.
+    """What a file, of a role, states, and what another file, campaign.toml or its name (`by`) states instead.
 
-    Parameters
-    ----------
-    severity : {"noted", "refused"}
-    role : str
-        Of the file.
-    found, expected : str
-        Its value, and the other's.
-    by : Path or str
-        The other file, or where it is declared.
-    aside : str
-        What follows.
-    more : int
-        Files that contradict in the same fact and role.
+    `aside` is what follows; `more` are files that contradict in the same fact and role.
     """
 
     fact: ComparedFact
@@ -111,23 +99,16 @@ class Contradiction:
         """Return one line with both files and both values."""
         own, other = self.names
         others = f" and {self.more} more" if self.more else ""
-        return (
-            f"{self.fact.title}: {self.found} in {own}{others} ({self.role}), "
-            f"{self.expected} in {other}{self.aside}"
-        )
+        ends = f"{self.found} in {own}{others} ({self.role}), {self.expected} in {other}"
+        return f"{self.fact.title}: {ends}{self.aside}"
 
     def problem(self, camera: str) -> Problem:
         """Return the refusal, with what to do."""
-        other = self.names[1]
-        return Problem(
-            "E_FACTS",
-            f"{self.role} and {other} differ in {self.fact.title}",
-            str(self.path),
-            self.fact.title,
-            self.found + (f", and {self.more} more differ" if self.more else ""),
-            f"{self.expected}, as {other} states",
-            self.fact.advice(camera),
-        )
+        other, title = self.names[1], self.fact.title
+        found = self.found + (f", and {self.more} more differ" if self.more else "")
+        expected = f"{self.expected}, as {other} states"
+        message, file = f"{self.role} and {other} differ in {title}", str(self.path)
+        return Problem("E_FACTS", message, file, title, found, expected, self.fact.advice(camera))
 
 
 def facts_of(frame: FrameRef) -> Facts:
@@ -141,24 +122,11 @@ def facts_of(frame: FrameRef) -> Facts:
 def compare_facts(
     camera: Camera, sensor: SensorFrames, alignments: Sequence[Aligned] | None = None
 ) -> list[str]:
-    """Compare what all frames of a sensor state; return notes.
+    """Compare what all frames of a sensor state, and where their codes stand, where they were decoded.
 
-    Raises CalibrationRefused, E_FACTS, once for a fact and role, with both files, both values and what to do. A photograph, of
-    which nothing is calibrated, has notes instead.
-
-    Parameters
-    ----------
-    camera : Camera
-        Its `overrule` accepts contradictions by their names.
-    sensor : SensorFrames
-        The headers of its files are read.
-    alignments : sequence of Aligned, optional
-        Of all frames. None: none was decoded.
-
-    Returns
-    -------
-    notes : list of str
-        What `overrule` accepts, what differs without making a value wrong, what campaign.toml declares otherwise.
+    Notes are what `overrule` accepts, what differs without making a value wrong, what campaign.toml declares otherwise. Raises
+    CalibrationRefused, E_FACTS, once for a fact and role, with both files, both values and what to do; a photograph, of which nothing
+    is calibrated, has notes instead.
     """
     every = _stated(sensor, decoded=alignments is not None)
     between = [*_between_files(camera, sensor, every), *_between_alignments(alignments or ())]
@@ -273,21 +241,16 @@ def _compared(fact: ComparedFact, valued: list[Valued]) -> Iterator[Contradictio
 
 
 def _between_alignments(alignments: Sequence[Aligned]) -> Iterator[Contradiction]:
-    """Yield frames whose codes stand otherwise in their words than those of one before them."""
-    for i, one in enumerate(alignments):
-        yield from _against(alignments[:i], one)
-
-
-def _against(others: Sequence[Aligned], one: Aligned) -> list[Contradiction]:
-    """Return the gravest contradiction of a frame's alignment by those of others, or nothing."""
-    found = []
-    for other in others:
-        severity = other.alignment.compare(one.alignment)
-        if severity != "same":
-            fact = FACTS_BY_NAME["code_spacing"]
+    """Yield frames whose codes stand otherwise in their words than those of one before them, by the gravest contradiction."""
+    fact, distinct = FACTS_BY_NAME["code_spacing"], dict[Alignment, Aligned]()
+    for one in alignments:
+        pairs = [(other.alignment.compare(one.alignment), other) for other in distinct.values()]
+        graver = sorted((s != "refused", i) for i, (s, _) in enumerate(pairs) if s != "same")
+        if graver:
+            severity, other = pairs[graver[0][1]]
             texts = one.alignment.describe(), other.alignment.describe()
-            found.append(Contradiction(fact, severity, one.role, one.path, *texts, other.path))
-    return sorted(found, key=lambda each: each.severity != "refused")[:1]
+            yield Contradiction(fact, severity, one.role, one.path, *texts, other.path)
+        distinct.setdefault(one.alignment, one)
 
 
 # --- file with campaign.toml ----------------------------------------------------------------------
@@ -328,18 +291,18 @@ def _pairs(camera: Camera, sensor: SensorFrames, one: Stated) -> dict[str, tuple
 
 
 def _severity(sensor: SensorFrames, name: str, declared: Any, stated: Any) -> Severity:
+    """Compare what is declared with what a file states: but for wavelengths what is declared is taken, and the other noted."""
     if name == "wavelengths":
         apart = max(abs(a - b) for a, b in zip(declared, stated, strict=True))
         steps = sorted(abs(b - a) for a, b in pairwise(b.wavelength for b in sensor.bands))
         allowed = max(NEAREST_NM, steps[len(steps) // 2] / 2 if steps else 0.0)
         return "same" if apart <= NEAREST_NM else "noted" if apart <= allowed else "refused"
-    if name == "saturation":
-        return "same" if abs(declared / stated - 1) <= SAME_FULL else "noted"
-    if name == "black":
-        return "same" if compare_black(declared, stated) == "same" else "noted"
-    if name == "exposure":
-        return "same" if EXPOSURE.compare(declared, stated) == "same" else "noted"
-    return "same" if declared == stated else "noted"
+    same = {
+        "saturation": lambda: abs(declared / stated - 1) <= SAME_FULL,
+        "black": lambda: compare_black(declared, stated) == "same",
+        "exposure": lambda: EXPOSURE.compare(declared, stated) == "same",
+    }.get(name, lambda: declared == stated)
+    return "same" if same() else "noted"
 
 
 def _letters(camera: Camera, sensor: SensorFrames) -> str | None:

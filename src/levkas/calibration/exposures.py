@@ -631,11 +631,7 @@ def _in_order(shots: Sequence[Template]) -> list[Template]:
 
 
 class _Frame(NamedTuple):
-    """One exposure as `_add_exposure` reads it; arrays are (h, w) views, `dark` may be one line or one number.
-
-    `time` in seconds, `read` the variance without light, counts²; `share` and `dark_share` are the
-    variances of the means over those of one shot.
-    """
+    """One exposure as (h, w) views, `dark` may be one line or one number: `time` in s, `read` the variance without light, counts²; shares of means in those of one shot."""
 
     mean: np.ndarray
     dark: np.ndarray

@@ -65,20 +65,13 @@ Times = float | tuple[float, ...] | None
 
 
 class Kept(Protocol):
-    """Templates and summaries that are kept from one capture to the next, as `stages.template_cache` does."""
+    """Templates and summaries that are kept from one capture to the next, by `stages.template_cache`, or made."""
 
     def template(
-        self,
-        frames: Sequence[FrameRef],
-        average: Callable[[], Template],
-        *,
-        level: np.ndarray | float | None,
-        **parameters: object,
-    ) -> Template:
-        """Return the template of some frames above a level, as it is kept or by `average`."""
+        self, frames: Sequence[FrameRef], average: Callable[[], Template], **parameters: object
+    ) -> Template: ...
 
-    def summary(self, frame: FrameRef, make: Callable[[], Summary]) -> Summary:
-        """Return the summary of a frame, as it is kept or by `make`."""
+    def summary(self, frame: FrameRef, make: Callable[[], Summary]) -> Summary: ...
 
 
 class Frames:
@@ -137,38 +130,15 @@ def _summary_of_scan(frame: FrameRef, stored: np.dtype | None) -> Summary:
 
 @dataclass(frozen=True, eq=False)
 class SensorCapture:
-    """What holds for all frames of one sensor in one capture.
+    """What holds for all frames of one sensor in one capture, by campaign, headers (`facts` of the object's first frame) and summaries.
 
-    Parameters
-    ----------
-    facts : Facts
-        Of the object's first frame.
-    stated : FullScale, optional
-        By campaign or file.
-    saturation : float, optional
-        Code at which a sensel is full: where its frames pile up, at most what is stated.
-    black : float, optional
-        Declared, else the file's own, the mean over the frame, else that of an exposure series if it is needed, counts.
-    black_level : float or (h, w), optional
-        As it is subtracted: of every sensel where the file has no single number.
-    black_clip : float, optional
-        Code at which a value is clipped at black; None of reflectance, and of frames whose noise goes below 0.
-    step : float
-        Counts from one code of the files to the next: 16 where 12 bits stand at the upper end of 16.
-    holds_reflectance : bool
-        Whether the object's files state their reflectance, and nothing else is there to make it.
-    alignments : tuple of Aligned
-        Where the codes of each frame stand in their words; nothing of camera raws, which LibRaw aligns.
-    problems : tuple of Problem
-        What is wrong with single frames.
-    record : SensorRecord
-        What was measured before anything was averaged; a scan adds to it.
-    light : ChartLight, optional
-        By a chart, in place of a white.
-    reflectance : float or (bands,)
-        Of the white board.
-    doubts : tuple
-        Of that, and of the codes.
+    `saturation` is the code at which a sensel is full: where its frames pile up, at most what is `stated`. `black` is declared, else the
+    file's own, the mean over the frame, else that of an exposure series if it is needed, counts; `black_level`, a number or (h, w), is it
+    as it is subtracted. `black_clip` is the code at which a value is clipped at black; None of reflectance, and of frames whose noise goes
+    below 0. `step` are counts from one code of the files to the next: 16 where 12 bits stand at the upper end of 16. `holds_reflectance`
+    is whether the object's files state their reflectance, and nothing else is there to make it. `alignments` are those of each frame, of
+    camera raws none, which LibRaw aligns; `problems` what is wrong with single frames; `doubts` those of the white and of the codes.
+    `record` is what was measured before anything was averaged; a scan adds to it. `light` by a chart takes the place of a white.
     """
 
     camera: Camera
@@ -531,13 +501,6 @@ def by_exposure(frames: Sequence[FrameRef]) -> list[tuple[Times, list[FrameRef]]
     for frame in frames:
         groups.setdefault(times_of(frame), []).append(frame)
     return sorted(groups.items(), key=lambda item: listed(item[0]))
-
-
-def templates_by_exposure(
-    frames: Sequence[FrameRef], make: Callable[[list[FrameRef]], Template]
-) -> list[Template]:
-    """Average frames exposure by exposure, shortest first."""
-    return [timed(make(group), times) for times, group in by_exposure(frames)]
 
 
 def timed(template: Template, times: Times) -> Template:

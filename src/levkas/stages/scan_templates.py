@@ -7,7 +7,6 @@ Behind a mirror every line sees other light: dark and white are as large as the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -29,7 +28,6 @@ from levkas.calibration.sensor import (
     placing,
     read_cube,
     spread,
-    templates_by_exposure,
     timed,
     times_of,
     white_shots,
@@ -225,13 +223,16 @@ def templates_of_scan(context: SensorCapture, shape: tuple[int, int, int]) -> Sc
 def _of_pushbroom(context: SensorCapture, shape: tuple[int, int, int]) -> ScanTemplates:
     sensor = context.sensor
 
-    def make_dark(frames: Sequence[FrameRef]) -> Template:
-        return context.unclipped(average_lines(context, frames), _pairs(frames[0]))
-
-    darks = templates_by_exposure(sensor.dark, make_dark)
+    darks = [
+        timed(context.unclipped(average_lines(context, frames), _pairs(frames[0])), times)
+        for times, frames in by_exposure(sensor.dark)
+    ]
     record = context.record
     record.clipped_darks |= context.clipped_darks(darks)
-    whites = templates_by_exposure(sensor.white, partial(average_lines, context, darks=darks))
+    whites = [
+        timed(average_lines(context, frames, darks), times)
+        for times, frames in by_exposure(sensor.white)
+    ]
     require_same_size(context, shape, darks, whites)
     white = whites[best_white(whites)] if whites else None
     if white is not None and white.shots is not None:

@@ -45,12 +45,10 @@ class TemplateCache:
         self,
         frames: Sequence[FrameRef],
         average: Callable[[], Template],
-        *,
-        level: np.ndarray | float | None = None,
         **parameters: object,
     ) -> Template:
-        """Return the template of some frames above a level without light, as it is kept or by `average`."""
-        known = {**parameters, "level": _digest(level)}
+        """Return the template of some frames above a `level` without light, as it is kept or by `average`."""
+        known = {**parameters, "level": _digest(parameters.get("level"))}
         return self._kept(frames, repr(sorted(known.items())), average, (_write, _read))
 
     def summary(self, frame: FrameRef, make: Callable[[], Summary]) -> Summary:
@@ -94,7 +92,7 @@ class TemplateCache:
                 remove(path)
 
 
-def _digest(level: np.ndarray | float | None) -> str:
+def _digest(level: Any) -> str:
     return (
         "" if level is None else hashlib.sha256(np.asarray(level, np.float32).tobytes()).hexdigest()
     )
