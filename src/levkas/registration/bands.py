@@ -63,10 +63,7 @@ class Sites:
         return np.asarray(sum(parts[1:], parts[0]) / np.float32(len(parts)))
 
     def filled(self, image: np.ndarray) -> np.ndarray:
-        """Return a band's image, (h, w), interpolated anew from its own sites alone, under a tent as wide as two periods.
-
-        Unlike other demosaicing this takes no detail from other bands, which lies where these have it.
-        """
+        """Return a band's image, (h, w), interpolated anew from its own sites alone, under a tent as wide as two periods."""
         n, measured = self.period, np.zeros(image.shape, np.float32)
         for y, x in self.places:
             measured[y::n, x::n] = 1.0
@@ -146,11 +143,8 @@ def by_wavelength(bands: Sequence[BandImage]) -> list[BandImage]:
 def present_bands(bands: Sequence[BandImage], also: BandImage | None = None) -> list[BandImage]:
     """Return the bands of a sensor that hold a picture; all where wavelengths, from which the others' maps follow, are not known.
 
-    Where one band holds nothing, nothing is compared with it or predicted from it: a band that the file calls bad, or
-    that lacks more than half of what the fullest band has, is left out, but for `also`.
+    One that the file calls bad, or that lacks more than half of what the fullest band has, is left out, but for `also`.
 
-    Examples
-    --------
     >>> full, empty = np.ones((2, 2)), np.full((2, 2), np.nan)
     >>> [band.label for band in present_bands([BandImage.of("a", full, 400), BandImage.of("b", empty, 500)])]
     ['a']

@@ -290,9 +290,8 @@ def _bytes(path: Path) -> bytes:
 def is_table_of_frames(path: Path) -> bool:
     """Return whether a file is a CSV with the columns object and camera, and the four coordinates."""
     with path.open("rb") as file:
-        first = file.read(4096).removeprefix(b"\xef\xbb\xbf").split(b"\n")[0]
-    names = {cell.strip().strip('"') for cell in first.decode("utf-8", "replace").split(",")}
-    return names >= {*PLACES, *FRAME[:2]}
+        first = file.read(4096).split(b"\n")[0].decode("utf-8-sig", "replace")
+    return {cell.strip().strip('"') for cell in first.split(",")} >= {*PLACES, *FRAME[:2]}
 
 
 def read_table_of_frames(path: Path) -> dict[Frame, ControlPoints]:
@@ -327,31 +326,23 @@ def read_frames(
     `frame` is OBJECT/CAMERA, OBJECT/CAMERA@SETUP or OBJECT/CAMERA:BAND of the latter, not needed where there is only one of the
     (object, layer) that there are.
     """
-    known = ", ".join("/".join(key) for key in layers)
-    if path.is_file() and is_table_of_frames(path):
-        if frame is not None:
-            raise _refused(
-                "E_VALUE",
-                "the table names its frames itself",
-                file=str(path),
-                field="--frame",
-                found=frame,
-                expected="a file of one frame, or no --frame",
-            )
+    known, several = ", ".join("/".join(key) for key in layers), False
+    if path.is_file() and (several := is_table_of_frames(path)) and frame is None:
         return read_table_of_frames(path)
-    if frame is None and len(layers) != 1:
+    name, layer = (frame or "").partition("/")[::2]
+    if frame is None and len(layers) == 1:
+        name, layer = next(iter(layers))
+    layer, _, band = layer.partition(":")
+    if several or (name, layer) not in layers:
         raise _refused(
             "E_VALUE",
-            "the object and camera of these points are unknown",
+            "the table names its frames itself"
+            if several
+            else "the layer of these points is unknown",
             file=str(path),
-            found=f"a file of {sniff(_bytes(path))}" if path.is_file() else "no such file",
-            expected=known,
-            fix="Add --frame OBJECT/CAMERA, or write a CSV with the columns object and camera.",
-        )
-    name, layer = next(iter(layers)) if frame is None else frame.partition("/")[::2]
-    layer, _, band = layer.partition(":")
-    if (name, layer) not in layers:
-        raise _refused(
-            "E_VALUE", f"unknown layer {name}/{layer}", field="frame", found=frame, expected=known
+            field="--frame",
+            found=frame,
+            expected="no --frame" if several else known,
+            fix="Name it by --frame OBJECT/CAMERA, or write a CSV with the columns object and camera.",
         )
     return {(name, layer, band): read_points(path)}

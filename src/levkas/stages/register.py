@@ -102,7 +102,8 @@ def measure(
         record["target"]["orientation"] = turn
     if found is None:
         record |= _refusal(refused)
-        return Measured(record, problems=verdict_problems(record, capture, refused))
+        problems = verdict_problems(record, capture, refused)
+        return Measured(record, problems=problems, figures=draw_figures(record))
     record |= _results(found, native)
     matches = {"": found.matches, **found.others}
     if pairs := sum(int((m.kept & (m.reason == HandMark.ADDED)).sum()) for m in matches.values()):
