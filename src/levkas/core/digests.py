@@ -16,7 +16,7 @@ def hash_file(path: str | Path) -> str:
 
     Raises OSError where it cannot be read, or is none: a pipe would be waited for, for ever.
     """
-    path = Path(path)
+    path = Path(path) if isinstance(path, str) else path  # or one on a server
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))

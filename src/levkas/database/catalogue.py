@@ -119,6 +119,9 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     path = place(database) / NAME
     check_inside(path.parent, path)
     entries, problems, fix = [], [], "Copy the database again, or give the folder of one."
+    if is_remote(path) and path.is_file() and (size := path.stat().st_size) > LARGEST:
+        what, expected = "the catalogue is too large", f"at most {LARGEST} bytes"
+        raise DatabaseRefused(Problem("E_SIZE", what, str(path), None, size, expected, fix))
     try:
         text = read_text(path, "a CSV in UTF-8", most=LARGEST)
         rows = csv.reader(io.StringIO(text, newline=""))

@@ -189,7 +189,7 @@ class RemotePath(PurePosixPath):
     def read_bytes(self) -> bytes:
         return self.store.read(self.key, 0, self.stat().st_size)
 
-    def open(self, mode: str = "rb") -> BinaryIO:
+    def open(self, mode: str = "rb", buffering: int = PIECE) -> BinaryIO:
         return cast(BinaryIO, io.BufferedReader(_RemoteFile(self), PIECE))
 
 
