@@ -9,8 +9,8 @@ import pytest
 import toy
 from toy import ended, heal, spoil
 
-from levkas.building import build, report_pages, run, status, summarise
-from levkas.building.derived_layers import AGAIN
+from levkas.building import build, camera_reports, report_pages, run, status, summarise
+from levkas.building.catalogue import AGAIN
 from levkas.core.digests import hash_tree
 from levkas.core.files import write_json
 from levkas.core.problems import Refused
@@ -171,8 +171,8 @@ def broken(*args, **options):
 def test_a_page_or_the_catalogue_that_cannot_be_made_is_refused_and_the_rest_is_there(new):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(report_pages, "write_report", broken)
-        for name in ("write_camera_page", "write_catalogue_of"):
-            patch.setattr(run, name, broken)
+        patch.setattr(camera_reports, "write_camera_page", broken)
+        patch.setattr(run, "write_catalogue_of", broken)
         steps = ended(new)
     pages = {
         "one report",

@@ -16,7 +16,15 @@ from pathlib import Path
 
 import every_kind
 
-from levkas.building import outcomes, records_file, report_pages, run, summarise, tasks
+from levkas.building import (
+    camera_reports,
+    outcomes,
+    records_file,
+    report_pages,
+    run,
+    summarise,
+    tasks,
+)
 from levkas.core import files
 from levkas.core.digests import hash_file
 from levkas.core.problems import Problem, Refused
@@ -243,7 +251,7 @@ def install(patch):
     patch.setattr(tasks.Stages, "do", lambda stages, task: toys(stages, task))
     patch.setattr(outcomes, "describe_anew", _describe)
     patch.setattr(report_pages, "write_report", _report)
-    patch.setattr(run, "write_camera_page", _camera)
+    patch.setattr(camera_reports, "write_camera_page", _camera)
     patch.setattr(records_file, "_connect", careless)
     return toys
 

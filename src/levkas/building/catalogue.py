@@ -1,4 +1,7 @@
-"""The files of a database about all its layers: catalogue, indices, imprint, manifest."""
+"""The files of a database about all its layers: catalogue, indices, imprint, manifest; and the layers that were made from others.
+
+Of these, those that no longer fit their sources stay, marked.
+"""
 
 from __future__ import annotations
 
@@ -6,122 +9,106 @@ import hashlib
 import re
 from contextlib import nullcontext
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key
-from levkas.building.derived_layers import (
-    Outdated,
-    describe_outdated,
-    outdated_layers,
-    put_away_outdated,
-)
+from levkas.building.claiming import in_turn
 from levkas.building.graph import Step
 from levkas.building.inputs import digest
 from levkas.building.outcomes import Outcomes, is_named
-from levkas.campaign.campaign import Campaign
 from levkas.core.ownership import IMPRINT, MARK
-from levkas.database.layout import LayerId, Places
+from levkas.core.problems import Refused
+from levkas.core.text import counted, read_json
+from levkas.database.catalogue import MEASURED, DatabaseRefused, read_catalogue
+from levkas.database.catalogue import NAME as TABLE
+from levkas.database.layout import KINDS, MADE_OF, LayerId, Places
+from levkas.database.manifest import NAME as MANIFEST
+from levkas.database.manifest import is_partial, walk_files, write_manifest
 from levkas.stages.sources import made_with
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from levkas.campaign.campaign import Campaign
     from levkas.database.catalogue import Entry
 
 _OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv")
+AGAIN = "Make it again from its sources, an estimated one by `levkas estimate apply`"
 
 
 def write_catalogue_of(outcomes: Outcomes, names: list[str], *, whole: bool = True) -> Step:
-    """Catalogue, indices and manifest, where a layer came, changed or went; else nothing.
+    """Write catalogue, indices and manifest, where a layer came, changed or went; else nothing.
 
     Where not the `whole` campaign is built, other objects keep their rows. A build that runs beside this one ends before or
     after: the last to end has them all. A dry one says whether they are stale.
     """
-    from levkas.building.claiming import in_turn
-    from levkas.database.manifest import NAME as MANIFEST
-    from levkas.database.manifest import write_manifest
-
-    key = CATALOGUE
-    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
+    key, campaign, places, records = CATALOGUE, outcomes.campaign, outcomes.places, outcomes.records
     with nullcontext() if outcomes.dry else in_turn(places.kept):
-        entries, outdated, why = _entries(outcomes, names, whole=whole)
+        stood = _stood(places)
+        rows = _rows(records, campaign, stood, whole=whole)
+        outdated = _outdated(campaign, places, rows, whole=whole)
+        entries = _entries(
+            outcomes, rows, outdated, {e.layer: e for e in stood if e.object not in names}
+        )
         imprint = imprint_of(campaign, entries)
         spectra = spectra_of(campaign, imprint["setups"])
-        others = by_others(places, records)
+        others = _by_others(places, records, stood)
+        foreign = _foreign_files(others)
         prints = _prints(entries, records, imprint, spectra, others)
-        why = why or records.why_stale(key, prints)
-        stay = tuple(one.describe(layer) for layer, one in outdated.items() if not one.goes)
+        marked = {entry.layer: entry.earlier for entry in stood}
+        new = {n: o for n, o in outdated.items() if o.goes or marked[n] != o.why}
+        why = _describe(new) or records.why_stale(key, prints)
+        stay = tuple(one.warning(layer) for layer, one in outdated.items() if not one.goes)
         if outcomes.dry or not why:
-            state = "stale" if why else "fresh"
-            return Step(key, state, why, warnings=(*stay, *foreign_files(others)))
-        go = {layer: one for layer, one in outdated.items() if one.goes}
-        warnings = (*stay, *put_away_outdated(places, records, go))
+            return Step(key, "stale" if why else "fresh", why, warnings=(*stay, *foreign))
+        gone = [_put_away(places, records, n, o.why) for n, o in outdated.items() if o.goes]
         paths = _published(places, entries, names, imprint, spectra)
         manifest = places.output / MANIFEST
         listed = [path.relative_to(places.output).as_posix() for path in (*paths, manifest)]
         records.put_away_left(key, listed)
         write_manifest(places.output, dict(records.products_that_stand()))
         records.keep(key, prints, [*paths, manifest])
-    return Step(key, "done", why, warnings=(*warnings, *foreign_files(others)))
+    return Step(key, "done", why, warnings=(*stay, *gone, *foreign))
 
 
-def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
-    """Return name → SHA-256 of the files in the database that there is no record of having made.
-
-    Catalogue, indices and what else is written from all layers is ours by its name.
-    """
-    from levkas.database.catalogue import NAME as TABLE
-    from levkas.database.manifest import NAME as MANIFEST
-    from levkas.database.manifest import is_partial, walk_files
-
-    keys = (*records.recorded(), CATALOGUE)
-    paths = {name for key in keys for name in records.products(key)} | {TABLE, IMPRINT, MANIFEST}
-    derived = _derived_files(places)
-    there = [
-        name
-        for name in sorted(set(walk_files(places.output)) - paths)
-        if not (is_partial(name) or _OF_ALL_LAYERS.fullmatch(name) or name.startswith(derived))
-    ]
-    return {n: records.hashes(places.output / n) for n in there if (places.output / n).is_file()}
-
-
-def _derived_files(places: Places) -> tuple[str, ...]:
-    """Return how the names of files of layers begin that were made from others: no build makes them."""
-    from levkas.database.catalogue import MEASURED, DatabaseRefused, read_catalogue
-
+def _stood(places: Places) -> list[Entry]:
+    """Return the rows of the catalogue that stands."""
     try:
-        entries = [e for e in read_catalogue(places.output) if e.kind != MEASURED]
+        return list(read_catalogue(places.output))
     except DatabaseRefused:
-        return ()
-    layers = [LayerId(e.object, e.camera, e.setup) for e in entries]
-    return tuple(
-        beginning
-        for layer in layers
-        for beginning in (
-            f"objects/{layer.object}/{layer.stem}.",
-            f"zarr/{layer.object}.zarr/{layer.name}/",
-        )
-    )
+        return []
 
 
-def foreign_files(others: dict[str, str]) -> tuple[str, ...]:
-    """Return the warning of files in the database that Levkas did not make; none where there are none."""
-    if not others:
-        return ()
-    first, more = next(iter(others)), len(others) - 1
-    named = f"{first} and {more} more" if more else first
-    them = "them" if more else "it"
-    return (
-        f"{named} in the database: Levkas has no record of writing {them}. The manifest lists "
-        f"{them}, and a publication would contain {them}. Remove private files, then build "
-        "again",
+def _rows(
+    records: BuildRecords, campaign: Campaign, stood: Sequence[Entry], *, whole: bool
+) -> list[Entry]:
+    """Return the rows of the measured layers that are finished, and of those made from others that stood."""
+    keys = (
+        k for k in records.layers() if records.is_begun(k) or not whole or is_named(campaign, k)
     )
+    measured = [row for key in keys if (row := records.finished(key))]
+    return [*measured, *(entry for entry in stood if entry.kind != MEASURED)]
+
+
+def _entries(
+    outcomes: Outcomes,
+    rows: Sequence[Entry],
+    outdated: Mapping[LayerId, Outdated],
+    others: Mapping[LayerId, Entry],
+) -> list[Entry]:
+    """Return the rows of the catalogue, each with why its layer is of an earlier build; `others` are of objects that are not built now."""
+    why = {layer: entry.earlier for layer, entry in others.items()} | outcomes.earlier
+    why |= {layer: one.why for layer, one in outdated.items() if not one.goes}
+    return [
+        replace(row, earlier=why.get(row.layer, ""))
+        for row in sorted(rows, key=lambda row: (row.object, row.camera, row.setup))
+        if row.kind == MEASURED or row.layer not in outdated or not outdated[row.layer].goes
+    ]
 
 
 def _prints(
-    entries: list[Entry],
+    entries: Sequence[Entry],
     records: BuildRecords,
     imprint: dict[str, Any],
     spectra: dict[str, str],
@@ -130,10 +117,9 @@ def _prints(
     products = hashlib.sha256()
     for name, sha in records.products_that_stand():
         products.update(f"{sha} {name}\n".encode("utf-8", "surrogateescape"))
-    files = products.hexdigest()
     return {
         **made_with(),
-        "layers": digest({"rows": [e.to_row() for e in entries], "files": files}),
+        "layers": digest({"rows": [e.to_row() for e in entries], "files": products.hexdigest()}),
         "campaign": digest({"imprint": imprint, "mark": MARK}),
         "order of cameras and setups": [[*imprint["cameras"]], [*imprint["setups"]]],
         "spectra": digest({"spectra": spectra}),
@@ -141,46 +127,10 @@ def _prints(
     }
 
 
-def _entries(
-    outcomes: Outcomes, names: Collection[str], *, whole: bool
-) -> tuple[list[Entry], dict[LayerId, Outdated], str]:
-    """Return one row a layer that stands, the layers made from others that do not fit any more, and what of these is new."""
-    from levkas.database.catalogue import MEASURED, DatabaseRefused, read_catalogue
-
-    campaign, places, records = outcomes.campaign, outcomes.places, outcomes.records
-    try:
-        stood = {entry.layer: entry for entry in read_catalogue(places.output)}
-    except DatabaseRefused:
-        stood = {}
-    derived = [entry for entry in stood.values() if entry.kind != MEASURED]
-    keys = (
-        k for k in records.layers() if records.is_begun(k) or not whole or is_named(campaign, k)
-    )
-    rows = [row for key in keys if (row := records.finished(key))] + derived
-
-    def has_left(name: str) -> bool:
-        return whole and not is_named(campaign, Key(name))
-
-    outdated = outdated_layers(places, rows, has_left)
-    go = {layer for layer, one in outdated.items() if one.goes}
-    why = {layer: entry.earlier for layer, entry in stood.items() if entry.object not in names}
-    why |= {
-        **outcomes.earlier,
-        **{layer: one.why for layer, one in outdated.items() if layer not in go},
-    }
-    entries = [
-        replace(row, earlier=why.get(row.layer, ""))
-        for row in sorted(rows, key=lambda row: (row.object, row.camera, row.setup))
-        if row.kind == MEASURED or row.layer not in go
-    ]
-    new = {n: one for n, one in outdated.items() if n in go or stood[n].earlier != one.why}
-    return entries, outdated, describe_outdated(new)
-
-
 def _published(
     places: Places,
-    entries: list[Entry],
-    names: list[str],
+    entries: Sequence[Entry],
+    names: Sequence[str],
     imprint: dict[str, Any],
     spectra: dict[str, str],
 ) -> list[Path]:
@@ -202,41 +152,135 @@ def _published(
     return paths
 
 
-DEFAULT = "default"
-SPARE = "main"
-"""Name of the default lighting where another one is called ``default``."""
+# --- files that no build wrote ------------------------------------------------------------------
+
+
+def _by_others(places: Places, records: BuildRecords, stood: Sequence[Entry]) -> dict[str, str]:
+    """Return name → SHA-256 of the files in the database that there is no record of having made.
+
+    Catalogue, indices and what else is written from all layers is ours by its name; so are layers made from others.
+    """
+    paths = {name for key in (*records.recorded(), CATALOGUE) for name in records.products(key)}
+    paths |= {TABLE, IMPRINT, MANIFEST}
+    layers = [entry.layer for entry in stood if entry.kind != MEASURED]
+    derived = tuple(start for layer in layers for start in (f"{layer.path}.", f"{layer.group}/"))
+    there = [
+        name
+        for name in sorted(set(walk_files(places.output)) - paths)
+        if not (is_partial(name) or _OF_ALL_LAYERS.fullmatch(name) or name.startswith(derived))
+    ]
+    return {n: records.hashes(places.output / n) for n in there if (places.output / n).is_file()}
+
+
+def _foreign_files(others: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the warning of files in the database that Levkas did not make; none where there are none."""
+    if not others:
+        return ()
+    more = len(others) - 1
+    return (
+        f"{next(iter(others))}{f' and {more} more' if more else ''} in the database: Levkas has no record of writing this. The "
+        "manifest lists it, and a publication would contain it. Remove private files, then build again",
+    )
+
+
+# --- layers that were made from others ----------------------------------------------------------
+
+
+class Outdated(NamedTuple):
+    """Why a layer made from others is not of what the database holds now, and whether it goes."""
+
+    why: str
+    goes: bool = False
+
+    def warning(self, layer: LayerId) -> str:
+        """Return the warning of one that stays."""
+        return f"{layer.object}/{layer.name}: of an earlier build: {self.why}. {AGAIN}"
+
+
+def _outdated(
+    campaign: Campaign, places: Places, rows: Sequence[Entry], *, whole: bool
+) -> dict[LayerId, Outdated]:
+    """Return the layers made from others that are not of what the database holds now: one whose object or name has gone goes."""
+    measured = {row.layer: row.sha256 for row in rows if row.kind == MEASURED}
+    found = {}
+    for layer, kind in ((row.layer, row.kind) for row in rows if row.kind != MEASURED):
+        if whole and not is_named(campaign, Key(layer.object)):
+            found[layer] = Outdated(f"{layer.object} is no longer in the campaign", goes=True)
+        elif layer in measured:
+            found[layer] = Outdated("a camera of the campaign has its name", goes=True)
+        elif why := _why_outdated(places, layer, kind, measured):
+            found[layer] = Outdated(why)
+    return found
+
+
+def _why_outdated(
+    places: Places, layer: LayerId, kind: str, measured: Mapping[LayerId, str]
+) -> str:
+    try:
+        sources = dict(read_json(places.output / f"{layer.path}{MADE_OF[kind]}")["sources"])
+    except (Refused, OSError, KeyError, TypeError, ValueError):
+        return "its record cannot be read"
+    for name, sha256 in sources.items():
+        now = measured.get(LayerId.parse(layer.object, name))
+        if now != sha256:
+            gone = "is not in the database any more" if now is None else "was built again"
+            return f"its source {name} {gone}"
+    return ""
+
+
+def _describe(outdated: Mapping[LayerId, Outdated]) -> str:
+    """Report in a line what is outdated; empty for nothing."""
+    if not outdated:
+        return ""
+    (first, one), *others = outdated.items()
+    more = f" and {len(others)} more" if others else ""
+    made = counted(len(outdated), "layer")
+    return f"{made} made from others: {first.object}/{first.name}{more}, {one.why}"
+
+
+def _put_away(places: Places, records: BuildRecords, layer: LayerId, why: str) -> str:
+    """Move a layer made from others out of the database; return the warning."""
+    names = [f"{layer.path}{end}" for end in (*KINDS.values(), ".png", *MADE_OF.values())]
+    group = places.output / layer.group
+    names += [f"{layer.group}/{name}" for name in walk_files(group)] if group.is_dir() else []
+    where = records.put_away(names) or "nowhere: its files are gone"
+    return f"{layer.object}/{layer.name}: made from others, and {why}; it was moved to {where}. {AGAIN}"
+
+
+# --- what a database says of its campaign -------------------------------------------------------
+
+LISTED = {"kind", "bits", "black", "saturation", "scan", "denoise", "demosaic"}
+"""Keys of a camera that database.toml holds."""
 
 
 def imprint_of(campaign: Campaign, entries: Iterable[Entry]) -> dict[str, Any]:
     """Return what database.toml says, of what is in the database: `entries` are the rows of its catalogue."""
-    entries = list(entries)
-    described = campaign.campaign
-    cameras = {e.camera for e in entries}
+    described, default = campaign.campaign, default_setup(campaign)
+    seen = {(e.camera, e.setup or default) for e in entries}
+    cameras = {camera for camera, _ in seen}
+    under = {name: sorted(c for c, setup in seen if setup == name) for name in setups_of(campaign)}
     return {
-        "title": described.title,
-        "creator": described.creator,
-        "date": described.date,
-        "licence": described.licence,
+        **described.model_dump(include={"title", "creator", "date", "licence"}),
         "reference": described.reference.model_dump(exclude_none=True),
-        "setup": default_setup(campaign),
+        "setup": default,
         "publication": campaign.publication.model_dump(exclude_none=True),
         "cameras": {
-            name: _camera(keys.model_dump(exclude_none=True))
+            name: keys.model_dump(include=LISTED, exclude_none=True)
             for name, keys in campaign.cameras.items()
             if name in cameras
         },
         "setups": {
-            name: {"title": keys.title, "description": keys.description, "cameras": here}
+            name: {"title": keys.title, "description": keys.description, "cameras": under[name]}
             for name, keys in setups_of(campaign).items()
-            if (here := _under(campaign, entries, name))
+            if under[name]
         },
     }
 
 
 def default_setup(campaign: Campaign) -> str:
-    """Return the name under which the default lighting is described."""
-    named = campaign.setups.get(DEFAULT)
-    return campaign.campaign.setup or (SPARE if named and named.cameras else DEFAULT)
+    """Return the name under which the default lighting is described: ``main`` where another one is called ``default``."""
+    named = campaign.setups.get("default")
+    return campaign.campaign.setup or ("main" if named and named.cameras else "default")
 
 
 def setups_of(campaign: Campaign) -> dict[str, Any]:
@@ -261,14 +305,3 @@ def spectra_of(campaign: Campaign, setups: Iterable[str]) -> dict[str, str]:
         name: "wavelength,power\n" + "".join(f"{w:.9g},{v:.9g}\n" for w, v in table)
         for name, table in tables.items()
     }
-
-
-def _camera(keys: dict[str, Any]) -> dict[str, Any]:
-    listed = ("kind", "bits", "black", "saturation", "scan", "denoise", "demosaic")
-    return {key: keys[key] for key in listed if key in keys}
-
-
-def _under(campaign: Campaign, entries: list[Entry], name: str) -> list[str]:
-    """Cameras that have layers under a lighting."""
-    setup = "" if name == default_setup(campaign) else name
-    return sorted({e.camera for e in entries if e.setup == setup})

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
-from levkas.building.camera_pages import prints_of_charts, prints_of_page, write_camera_page
+from levkas.building.camera_pages import prints_of_charts, prints_of_page
 from levkas.building.catalogue import setups_of, spectra_of, write_catalogue_of
 from levkas.building.claiming import check_apart, claim, places_of
 from levkas.building.graph import BuildReport, Graph, Step, Task, page_key, summarise
@@ -243,6 +243,8 @@ class _Build:
 
     def _written(self, key: Key) -> Written:
         if key.stage == "camera":
+            from levkas.building.camera_reports import write_camera_page  # heavy
+
             return write_camera_page(self.plan.pages[key], self.outcomes, self.templates)
         from levkas.building.layer_verdicts import confirm_layers
         from levkas.building.report_pages import write_report  # heavy
