@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from levkas.registration.bands import BandImage
-from levkas.registration.measured_bands import LEAST_MEASURED, measured_bands
+from levkas.registration.chromatic import LEAST_MEASURED, measured_bands
 
 COUNT = 2 * LEAST_MEASURED
 TURN = np.radians(0.2)

@@ -4,21 +4,26 @@ A lens magnifies every wavelength a little differently, a filter wheel shifts ev
 Each band is displaced by the same few fields, shift and magnification freely, others with a prior that
 they are small. The amounts of each field are a Gaussian process over wavelength ([rasmussen2006]_): a constant,
 a squared exponential and a part of each band's own, with scales of the highest marginal likelihood.
+
+Lateral colour is smooth in wavelength, so that every n-th of many bands predicts those between. That is not taken on trust: a band that
+was moved between two shots is found by the bands beside it, and where measured bands do not predict one another all are measured.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Polynomial, design_matrix
-from levkas.registration.local_shifts import WindowShifts
+from levkas.registration.bands import BandImage
+from levkas.registration.local_shifts import Predictor, WindowShifts, reduce
 from levkas.registration.models import inflate_covariance
+from levkas.registration.predictors import measure_shifts, principal_components
 
 BLOCKS = 8
 """Across the longer side, in which the gradients of windows are summed."""
@@ -31,6 +36,13 @@ LEAST_BANDS = 4
 """Of different wavelengths from which amounts are smoothed."""
 LEAST_VARIANCE = 1e-10
 """Of an amount, px²."""
+LEAST_MEASURED = 25
+"""Bands that are measured at the least, where there are twice as many."""
+SMOOTH_PX, STRAY_PX = 0.02, 0.1
+"""Largest error, reference px, at which neighbours predict a measured band, so that others need not be; distance, native px, from the
+bands beside it at which a band is measured itself."""
+SMALL_PX, CELL_PX = 256, 12
+"""Longer side, px, of the pictures in which such bands are looked for, and the cell of their windows."""
 FIELDS: dict[str, list[dict[tuple[int, int], int]]] = {
     "shift": [{(0, 0): 1}, {(0, 1): 1}],
     "similarity": [{(1, 0): 1, (2, 1): 1}, {(2, 0): -1, (1, 1): 1}],
@@ -314,3 +326,70 @@ def _posterior(
     factor, white, across, before = chosen
     known, _ = dtrtrs(factor, across, lower=1)
     return known.T @ white, np.maximum(before - (known**2).sum(0), 0.0)
+
+
+# --- which of many bands are measured, and what the others follow from
+
+
+def measured_bands(bands: Sequence[BandImage], also: int | None = None) -> list[int]:
+    """Return the numbers of bands of a sensor, in the order of wavelength, whose shifts are measured; `also` whatever its number.
+
+    All are where wavelengths are not known, or there are fewer than twice `LEAST_MEASURED` (25). Otherwise every
+    n-th, and bands between these that lie `STRAY_PX` (0.1) or more from where the two beside them show the same detail.
+
+    Examples
+    --------
+    >>> from levkas.registration.bands import BandImage
+    >>> scan = [BandImage.of(f"{nm} nm", np.ones((9, 9)), nm) for nm in range(400, 1001, 5)]
+    >>> len(scan), len(measured_bands(scan)), measured_bands(scan)[:3], measured_bands(scan)[-1]
+    (121, 31, [0, 4, 8], 120)
+    """
+    count = len(bands)
+    every = count // LEAST_MEASURED
+    if every < 2 or not all(np.isfinite(band.wavelength) for band in bands):
+        return list(range(count))
+    evenly = np.linspace(0, count - 1, -(-count // every)).round().astype(int).tolist()
+    picks = sorted({*evenly, *([] if also is None else [also])})
+    strays = each(lambda ends: _strays(bands[ends[0] : ends[1] + 1]), list(pairwise(picks)))
+    return sorted({*picks, *(a + i for a, some in zip(picks, strays, strict=False) for i in some)})
+
+
+def _strays(bands: Sequence[BandImage]) -> list[int]:
+    """Return the numbers of bands that do not lie where the first and the last show the same detail."""
+    by = max(1, max(bands[0].size) // SMALL_PX)
+    first, *between, last = (
+        reduce(np.where(b.valid, np.sqrt(np.maximum(b.values, 0)), np.nan), by) for b in bands
+    )
+    if not between or not np.isfinite(first + last).any():
+        return list(range(1, len(bands) - 1))
+    basis = principal_components(np.stack([first, last])).high_passed()
+    predictor = Predictor(basis.images, step=by, cell=CELL_PX)
+    apart = [_distance(measure_shifts(predictor, picture)) for picture in between]
+    return [number for number, px in enumerate(apart, 1) if px >= STRAY_PX]
+
+
+def _distance(windows: WindowShifts) -> float:
+    """Return the mean shift, px, of that quarter of the frame which is shifted most: a turn shifts each otherwise."""
+    weights = np.trace(windows.information, axis1=1, axis2=2)
+    quarter = (windows.centres > np.median(windows.centres, axis=0)) @ [1, 2]
+    parts = [weights * (quarter == number) for number in range(4)]
+    shifts = (np.hypot(*(w @ windows.shift / w.sum())) for w in parts if w.any())
+    return float(max(shifts, default=0.0))
+
+
+def is_smooth_in_wavelength(
+    chromatic: ChromaticShifts, shown: Sequence[BandImage], bands: Sequence[BandImage]
+) -> bool:
+    """Return whether measured bands predict those between them: each lies where its neighbours predict it."""
+    nm = [band.wavelength for band in shown]
+    return len(shown) == len(bands) or error_between_bands(chromatic, nm) <= SMOOTH_PX
+
+
+def chromatic_of_all(
+    chromatic: ChromaticShifts, shown: Sequence[BandImage], bands: Sequence[BandImage]
+) -> ChromaticShifts:
+    """Return the displacements of all bands from those of the measured ones."""
+    if len(shown) == len(bands):
+        return chromatic
+    measured, wanted = ([band.wavelength for band in some] for some in (shown, bands))
+    return interpolate_chromatic(chromatic, measured, wanted)

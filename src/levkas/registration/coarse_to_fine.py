@@ -18,7 +18,13 @@ from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.advice import POINTS
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
-from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
+from levkas.registration.chromatic import (
+    ChromaticShifts,
+    chromatic_of_all,
+    fit_chromatic,
+    is_smooth_in_wavelength,
+    zero_displacement,
+)
 from levkas.registration.initial import SETTINGS as INITIAL
 from levkas.registration.initial import (
     InitialTransform,
@@ -30,7 +36,6 @@ from levkas.registration.line_correction import LineCorrection, find_correction
 from levkas.registration.line_displacement import LineDisplacement, measure_line_displacement
 from levkas.registration.local_shifts import WindowShifts, highpass
 from levkas.registration.manual_points import ManualPoints
-from levkas.registration.measured_bands import chromatic_of_all, is_smooth_in_wavelength
 from levkas.registration.model_selection import SelectedModel, SelectionTerms
 from levkas.registration.orientation_correlation import match_blocks
 from levkas.registration.predictors import (

@@ -14,9 +14,8 @@ import numpy as np
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform, solve_2x2
-from levkas.registration.alignment import declared_map, distance_between, read_alignments
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
-from levkas.registration.chromatic import zero_displacement
+from levkas.registration.chromatic import measured_bands, zero_displacement
 from levkas.registration.coarse_to_fine import (
     Begin,
     RegisteredSensor,
@@ -27,7 +26,6 @@ from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.initial import find_coarse_transform, find_initial_transform
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.map_stack import gather_signal
-from levkas.registration.measured_bands import measured_bands
 from levkas.registration.placed_by_hand import place_by_hand
 from levkas.registration.predictors import PreparedReference
 from levkas.registration.record import (
@@ -43,6 +41,9 @@ from levkas.registration.starts import (
     agreeing_pairs,
     begin_with,
     begin_with_pairs,
+    declared_map,
+    distance_between,
+    read_alignments,
     start_candidates,
 )
 from levkas.registration.verdict import ALIGN_PX, ONLY, Judged, judge

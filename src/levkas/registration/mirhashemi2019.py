@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.geometry.transforms import Affine, Inverse, Polynomial, Transform
-from levkas.registration.alignment import declared_map, distance_between, read_alignments
 from levkas.registration.bands import area_average, grey, region_mask, stretch
 from levkas.registration.features import KeyPoints, find_key_points
 from levkas.registration.foreground import ObjectArea
@@ -28,6 +27,7 @@ from levkas.registration.record import (
     Verdict,
     refusal,
 )
+from levkas.registration.starts import declared_map, distance_between, read_alignments
 from levkas.registration.verdict import ONLY, Evidence, Judged, judge
 from levkas.registration.verification import Overlap, box_of, measure_shape, measure_windows
 from levkas.registration.window_matching import SETTINGS as WINDOWS

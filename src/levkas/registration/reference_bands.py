@@ -14,7 +14,14 @@ import numpy as np
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
 from levkas.registration.bands import BandImage, by_wavelength, present_bands
-from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
+from levkas.registration.chromatic import (
+    ChromaticShifts,
+    chromatic_of_all,
+    fit_chromatic,
+    is_smooth_in_wavelength,
+    measured_bands,
+    zero_displacement,
+)
 from levkas.registration.coarse_to_fine import (
     LARGE,
     RegisteredSensor,
@@ -23,11 +30,6 @@ from levkas.registration.coarse_to_fine import (
     pyramid_steps,
 )
 from levkas.registration.local_shifts import Predictor, WindowShifts
-from levkas.registration.measured_bands import (
-    chromatic_of_all,
-    is_smooth_in_wavelength,
-    measured_bands,
-)
 from levkas.registration.model_selection import SelectionTerms, scattered_information
 from levkas.registration.models import Observations
 from levkas.registration.predictors import (

@@ -13,10 +13,10 @@ from levkas.geometry.transforms import Affine, Composed, Inverse
 from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.advice import LEAST_PAIRS
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
+from levkas.registration.chromatic import measured_bands
 from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.initial import find_initial_transform
 from levkas.registration.manual_points import ManualPoints
-from levkas.registration.measured_bands import measured_bands
 from levkas.registration.predictors import PreparedReference
 from levkas.registration.record import HandMark, Matches, Sigma
 from levkas.registration.reduced import FACTOR, LEAST_SIDE, enlarged, reduced
