@@ -59,42 +59,34 @@ MOST_VALUES = 2_000_000
 """Of these that are looked at: every so-many-th sample, all bands."""
 
 
-def block_lines(shape: tuple[int, int, int]) -> int:
-    """Return how many lines of a scan, (lines, samples, bands), make a block."""
+def blocks_of(shape: tuple[int, int, int], start: int, stop: int) -> Iterator[tuple[int, int]]:
+    """Yield the blocks in which lines `start` to `stop` of a scan, (lines, samples, bands), are worked on."""
     lines, samples, bands = shape
-    return tile_rows(BLOCK_SAMPLES // (samples * bands), lines)
+    step = tile_rows(BLOCK_SAMPLES // (samples * bands), lines)
+    for y in range(start, stop, step):
+        yield y, min(y + step, stop)
 
 
 @dataclass(frozen=True, eq=False)
 class ScanFile:
-    """One frame of a line scan: its lines are read from an ENVI file when needed, of another they are held.
-
-    Parameters
-    ----------
-    content : EnviFile or ndarray, (lines, samples, bands)
-    """
+    """One frame of a line scan: its lines are read from an ENVI file when needed, of another they are held."""
 
     frame: FrameRef
     content: EnviFile | np.ndarray
+    shape: tuple[int, int, int]
+    """(lines, samples, bands)."""
+    dtype: np.dtype
 
     @classmethod
     def open(cls, frame: FrameRef) -> ScanFile:
         """Open an ENVI file, or read a TIFF whose pages are the bands."""
-        envi = read_facts(frame.path).kind == "envi"
-        return cls(frame, open_envi(frame.path) if envi else read_cube(frame))
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """(lines, samples, bands)."""
-        content = self.content
-        shape = content.shape if isinstance(content, np.ndarray) else content.facts.shape
-        return int(shape[0]), int(shape[1]), int(shape[2])
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Of a sample."""
-        content = self.content
-        return np.dtype(content.dtype if isinstance(content, np.ndarray) else content.facts.dtype)
+        if read_facts(frame.path).kind == "envi":
+            envi = open_envi(frame.path)
+            lines, samples, bands = (int(n) for n in envi.facts.shape)
+            return cls(frame, envi, (lines, samples, bands), np.dtype(envi.facts.dtype))
+        cube = read_cube(frame)
+        lines, samples, bands = cube.shape
+        return cls(frame, cube, (lines, samples, bands), cube.dtype)
 
     @property
     def holds_nothing(self) -> bool:
@@ -110,20 +102,13 @@ class ScanFile:
 
     def blocks(self) -> Iterator[np.ndarray]:
         """Yield all lines, some at a time."""
-        lines, step = self.shape[0], block_lines(self.shape)
-        for start in range(0, lines, step):
-            yield self.read(start, min(start + step, lines))
+        for start, stop in blocks_of(self.shape, 0, self.shape[0]):
+            yield self.read(start, stop)
 
 
 @dataclass(frozen=True)
 class FrameLines:
-    """The shots of a mirror scanner's dark, or of its white, at one exposure.
-
-    Parameters
-    ----------
-    times : Times
-        Exposure of all of them.
-    """
+    """The shots of a mirror scanner's dark, or of its white, at one exposure."""
 
     context: SensorCapture
     files: tuple[ScanFile, ...]
@@ -145,18 +130,14 @@ class FrameLines:
         frames = context.sensor.dark if role == "dark" else context.sensor.white
         files = {frame: ScanFile.open(frame) for frame in frames}
         for frame, file in files.items():
-            dtype = files[frames[0]].dtype
-            if file.shape != shape or file.dtype != dtype:
-                raise CalibrationRefused(
-                    Problem(
-                        "E_SIZE",
-                        f"{role} and object differ in size",
-                        str(frame.path),
-                        found=f"{file.shape} {file.dtype}",
-                        expected=f"{shape} {dtype}",
-                        fix="Capture dark and white in the same mode and with the same crop as the object.",
-                    )
+            found, expected = (file.shape, file.dtype), (shape, files[frames[0]].dtype)
+            if found != expected:
+                fix = (
+                    "Capture dark and white in the same mode and with the same crop as the object."
                 )
+                words = [" ".join(map(str, one)) for one in (found, expected)]
+                problem = f"{role} and object differ in size", str(frame.path), None, *words, fix
+                raise CalibrationRefused(Problem("E_SIZE", *problem))
         return [
             cls(context, tuple(files[frame] for frame in group), times)
             for times, group in by_exposure(frames)
@@ -171,26 +152,23 @@ class FrameLines:
 
     def thinned(self, step: int, darks: Sequence[Template] = ()) -> Template:
         """Average every `step`-th sample of every `step`-th line, gaps closed; `darks` are thinned like it."""
-        level = self.context.level_under(self.frames, darks)
+        context = self.context
         template = average_steady(
-            lambda: (
-                np.concatenate([lines[:, ::step] for lines in self._thin(file, step)])
-                for file in self.files
-            ),
-            level,
-            saturation=self.context.saturation,
-            black_clip=self.context.black_clip,
+            lambda: (np.concatenate([*self._thin(file, step)]) for file in self.files),
+            context.level_under(self.frames, darks),
+            saturation=context.saturation,
+            black_clip=context.black_clip,
             times_s=capture_times(self.frames),
-            white=self.frames[0] in self.context.sensor.white,
+            white=self.frames[0] in context.sensor.white,
         )
-        return timed(self.context.whole(template, self.frames), self.times)
+        return timed(context.whole(template, self.frames), self.times)
 
     def _thin(self, file: ScanFile, step: int) -> Iterator[np.ndarray]:
         """Yield lines of one shot, codes checked."""
         height = file.shape[0]
         together = height if step == 1 else 1
         for y in range(0, height, max(step, together)):
-            yield self.context.checked(file.read(y, y + together), file.frame)
+            yield self.context.checked(file.read(y, y + together), file.frame)[:, ::step]
 
 
 class ScanTemplates(NamedTuple):
@@ -203,11 +181,8 @@ class ScanTemplates(NamedTuple):
 
     def uncovered(self, start: int, stop: int) -> np.ndarray | None:
         """Return where lines `start` to `stop` have no white board, (lines or 1, samples); None where all have."""
-        return _rows_of(self.area.uncovered, start, stop)
-
-
-def _rows_of(plane: np.ndarray | None, start: int, stop: int) -> np.ndarray | None:
-    return plane if plane is None or len(plane) == 1 else plane[start:stop]
+        plane = self.area.uncovered
+        return plane if plane is None or len(plane) == 1 else plane[start:stop]
 
 
 def templates_of_scan(context: SensorCapture, shape: tuple[int, int, int]) -> ScanTemplates:
@@ -221,44 +196,32 @@ def templates_of_scan(context: SensorCapture, shape: tuple[int, int, int]) -> Sc
 
 
 def _of_pushbroom(context: SensorCapture, shape: tuple[int, int, int]) -> ScanTemplates:
-    sensor = context.sensor
+    sensor, record = context.sensor, context.record
+    labels = [band.label for band in sensor.bands]
 
     darks = [
         timed(context.unclipped(average_lines(context, frames), _pairs(frames[0])), times)
         for times, frames in by_exposure(sensor.dark)
     ]
-    record = context.record
-    record.clipped_darks |= context.clipped_darks(darks)
     whites = [
         timed(average_lines(context, frames, darks), times)
         for times, frames in by_exposure(sensor.white)
     ]
     require_same_size(context, shape, darks, whites)
-    white = whites[best_white(whites)] if whites else None
+    white, area = whites[best_white(whites)] if whites else None, WhiteArea()
     if white is not None and white.shots is not None:
         lines = shape[0] * len(sensor.object)  # strips are captured one after the other
-        labels = [band.label for band in sensor.bands]
         record.lamp = lamp_numbers(labels, lamp_along(white.shots, lines))
+    record.clipped_darks |= context.clipped_darks(darks)
     record.white_shots = white_shots(whites)
-    record.light = light_of(white, darks, None, [band.label for band in sensor.bands])
+    record.light = light_of(white, darks, None, labels)
     noise = noise_of(context, [], [white] if white else [], darks)
     dark = darks[0] if darks else None
     record.sensor = sensor_noise(noise, dark, context.black or 0.0, context.saturation)
-    area = WhiteArea()
     if white is not None:
         with placing(sensor.white):
             area = find_white_line(white, level_under(white, darks, black=context.black))
     return ScanTemplates(tuple(darks), white, noise, area)
-
-
-def _note_lamp_of(context: SensorCapture, white: Template) -> None:
-    """Note how the lamp changed between the whites of a mirror scanner; a scan shows nothing of its own."""
-    if white.shots is None:
-        return
-    labels = [band.label for band in context.sensor.bands]
-    times = capture_times(context.sensor.object)
-    single = ShotLevels(np.ones((1, len(labels))), np.zeros(len(labels)), times)
-    context.record.lamp = lamp_numbers(labels, lamp_between(white.shots, single))
 
 
 def average_lines(
@@ -272,19 +235,16 @@ def average_lines(
             for block in file.blocks():
                 yield from context.checked(block, file.frame)[:, None]
 
-    level = context.level_under(frames, darks)
     white = frames[0] in context.sensor.white
     template = average_steady(
         lines,
-        level,
+        context.level_under(frames, darks),
         saturation=context.saturation,
         black_clip=context.black_clip,
         white=white,
     )
-    if (
-        white and template.shots is not None and template.shots.differing
-    ):  # what moves all along is found as such
-        with placing(frames):
+    if white and template.shots is not None and template.shots.differing:
+        with placing(frames):  # what moves all along is found as such
             require_agreement(template.shots)
     return context.whole(template, frames)
 
@@ -297,11 +257,9 @@ def _pairs(frame: FrameRef) -> list[np.ndarray]:
 
 def _of_mirror(context: SensorCapture, shape: tuple[int, int, int]) -> ScanTemplates:
     """Open dark and white; the white is checked by every so-many-th pixel."""
-    sensor = context.sensor
+    sensor, record, step = context.sensor, context.record, thinning(shape[:2])
     labels = [band.label for band in sensor.bands]
-    step = thinning(shape[:2])
-    frames = FrameLines.by_exposure(context, "dark", shape)
-    darks = [_of_one_line(dark, step) for dark in frames]
+    darks = [_of_one_line(one, step) for one in FrameLines.by_exposure(context, "dark", shape)]
     whites = FrameLines.by_exposure(context, "white", shape)
     white, area = None, WhiteArea()
     if whites:
@@ -311,8 +269,11 @@ def _of_mirror(context: SensorCapture, shape: tuple[int, int, int]) -> ScanTempl
         white, thinned = whites[chosen], looked[chosen]
         with placing(white.frames):
             require_agreement(thinned.shots, [str(frame.path) for frame in white.frames])
-        context.record.white_shots = white_shots([thinned])
-        _note_lamp_of(context, thinned)
+        record.white_shots = white_shots([thinned])
+        if thinned.shots is not None:  # a scan shows nothing of its own lamp
+            times, none = capture_times(sensor.object), np.zeros(len(labels))
+            single = ShotLevels(np.ones((1, len(labels))), none, times)
+            record.lamp = lamp_numbers(labels, lamp_between(thinned.shots, single))
         level = level_under(thinned, under, black=context.black)
         with placing(sensor.white):
             try:
@@ -321,8 +282,8 @@ def _of_mirror(context: SensorCapture, shape: tuple[int, int, int]) -> ScanTempl
                 problems = map(context.with_full_scale, refused.problems)
                 raise CalibrationRefused(*problems) from None
             area = _area_behind_mirror(context, thinned, level, step, shape)
-        context.record.light = light_of(thinned, under, None, labels, period=(step, step))
-    noise = noise_behind_mirror(context, white.frames[0] if white else None, darks)
+        record.light = light_of(thinned, under, None, labels, period=(step, step))
+    noise = _noise_behind_mirror(context, white.frames[0] if white else None, darks)
     return ScanTemplates(tuple(darks), white, noise, area)
 
 
@@ -401,40 +362,36 @@ def gaps_marked(shot: Template) -> Template:
     )
 
 
-def noise_behind_mirror(
-    context: SensorCapture,
-    white_frame: FrameRef | None,
-    darks: Sequence[Template | FrameLines] = (),
+def _noise_behind_mirror(
+    context: SensorCapture, white_frame: FrameRef | None, darks: Sequence[Template | FrameLines]
 ) -> NoiseModel | None:
-    """Fit the noise of a mirror scanner to neighbouring lines of its white and its dark.
+    """Fit the noise of a mirror scanner to neighbouring lines of its white and its dark; None without a white.
 
     A mirror leads the view over the board: lines have other light, and the sensels of (sample, band) are
     the same in all. What is left of a line between two others is free of both, and noise, with the
-    texture of the board. None without a white.
+    texture of the board.
     """
     if white_frame is None:
         return None
-    dark_frame = _dark_like(context, white_frame)
-    clipped = [dark for dark in darks if isinstance(dark, Template)]
-    dark = clipped[0] if clipped else _triples(context, dark_frame) if dark_frame else None
-    white = _triples(context, white_frame)
-    black = context.black or 0.0
-    stacks, levels = [*([white] if white else []), *clipped], clipped[:1]
-    if not clipped and dark is not None:
-        levels = [_mean_line(dark)]
+    white, stacks, levels = _triples(context, white_frame), [], []
+    dark = next((one for one in darks if isinstance(one, Template)), None)  # it was clipped
+    frames = sorted(context.sensor.dark, key=lambda d: times_of(d) != times_of(white_frame))
+    if dark is not None:
+        stacks = [one for one in darks if isinstance(one, Template)]
+        levels = stacks[:1]
+    elif frames and (dark := _triples(context, frames[0])) is not None:
+        mean = dark.mean.mean(0, dtype=np.float64, keepdims=True).astype(np.float32)
+        none = np.zeros(mean.shape, bool)
+        levels = [Template(mean, None, dark.count, none, none)]
         # At no light at all: sorted by their signal, its lines would be sorted by their noise.
-        stacks.append(replace(dark, mean=np.broadcast_to(levels[0].mean, dark.mean.shape)))
-    noise = fit_noise(stacks, levels, black=black, step=context.step) if white else None
+        stacks = [replace(dark, mean=np.broadcast_to(mean, dark.mean.shape))]
+    black, noise = context.black or 0.0, None
+    if white is not None:
+        noise = fit_noise([white, *stacks], levels, black=black, step=context.step)
     if noise is not None:  # its dark is at hand some lines at a time
         noise = replace(noise, level=None)
     context.record.sensor = sensor_noise(noise, dark, black, context.saturation)
     return noise
-
-
-def _dark_like(context: SensorCapture, white: FrameRef) -> FrameRef | None:
-    """Return the dark of the white's exposure, else the first."""
-    darks, time = context.sensor.dark, times_of(white)
-    return next((d for d in darks if times_of(d) == time), darks[0] if darks else None)
 
 
 def _triples(context: SensorCapture, frame: FrameRef) -> Template | None:
@@ -459,10 +416,3 @@ def _triples(context: SensorCapture, frame: FrameRef) -> Template | None:
         saturated, black = np.any(codes >= full, axis=1), np.any(codes <= least, axis=1)
     template = Template(mean.astype(np.float32), spread.astype(np.float32), 2, saturated, black)
     return context.whole(template, [frame])
-
-
-def _mean_line(dark: Template) -> Template:
-    """Return a dark as one line, the mean of all."""
-    mean = dark.mean.mean(0, dtype=np.float64, keepdims=True).astype(np.float32)
-    none = np.zeros(mean.shape, bool)
-    return Template(mean, None, dark.count, none, none)

@@ -37,7 +37,7 @@ from levkas.stages.parts import (
     median_focus,
 )
 from levkas.stages.scan_lines import FlatLines, Strip, describe_loss
-from levkas.stages.scan_templates import ScanFile, block_lines, templates_of_scan
+from levkas.stages.scan_templates import ScanFile, blocks_of, templates_of_scan
 from levkas.stages.strips import place_strips, require_one_time
 
 if TYPE_CHECKING:
@@ -243,9 +243,8 @@ class Scan:
 
     def flat_blocks(self, strip: Strip, start: int, stop: int) -> Iterator[FlatLines]:
         """Yield flat-fielded lines of a strip, some at a time."""
-        step = block_lines(strip.shape)
-        for y in range(start, stop, step):
-            yield strip.flat(y, min(y + step, stop))
+        for block in blocks_of(strip.shape, start, stop):
+            yield strip.flat(*block)
 
     def finished(self, lines: FlatLines, projecting: Projecting | None) -> Cube:
         """Return lines rounded and glare flagged; `projecting` takes noise away before."""

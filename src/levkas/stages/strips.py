@@ -20,7 +20,7 @@ from levkas.registration.models import scale_covariance
 from levkas.registration.record import RegistrationRefused, refusal
 from levkas.registration.tiles import NoOverlap, OverlapWindows, correlate_tiles, measure_overlap
 from levkas.stages.parts import PartPlace, Placement
-from levkas.stages.scan_templates import block_lines
+from levkas.stages.scan_templates import blocks_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -175,13 +175,13 @@ def _band_weights(strip: Strip) -> np.ndarray:
 def _grey(strip: Strip, weights: np.ndarray) -> np.ndarray:
     """Return the mean over the bands of a strip, (lines, samples); NaN where less than half of them can be relied on."""
     lines, samples, _ = strip.shape
-    grey, step = np.full((lines, samples), np.nan, np.float32), block_lines(strip.shape)
-    for start in range(0, lines, step):
-        flat = strip.flat(start, min(start + step, lines)).flat
+    grey = np.full((lines, samples), np.nan, np.float32)
+    for start, stop in blocks_of(strip.shape, 0, lines):
+        flat = strip.flat(start, stop).flat
         sound = np.isfinite(flat.values) & ~is_flagged(flat.flags, UNTRUSTED)
         count = sound @ weights
         sums = np.where(sound, flat.values, np.float32(0)) @ weights
-        np.divide(sums, count, out=grey[start : start + step], where=count > weights.sum() / 2)
+        np.divide(sums, count, out=grey[start:stop], where=count > weights.sum() / 2)
     return grey
 
 
