@@ -119,18 +119,20 @@ class Stages:
     def _resample(self, task: Task) -> Written:
         from levkas.core.files import make_folder
         from levkas.stages.reference import record_of
-        from levkas.stages.resample import resample, target_of, write_resampled
+        from levkas.stages.resample import resample
 
         capture, _ = captures_of(task)
-        frame = self.frame(task)
-        native = self.native(capture)
-        target = target_of(capture, native, frame, record_of(self.places, capture))
         for folder in (self.places.folder(capture.object), self.places.store(capture.object)):
             make_folder(folder)
+        frame, record, native = (
+            self.frame(task),
+            record_of(self.places, capture),
+            self.native(capture),
+        )
         self._native = None
-        made = resample(native, target, frame)
-        del native  # its memory goes before the layer is written
-        return write_resampled(made, target, frame)
+        holder = [native]
+        del native  # whoever takes it lets its memory go before the layer is written
+        return resample(capture, holder.pop(), frame, record)
 
 
 def size_of(campaign: Campaign, name: str) -> tuple[float, float] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from math import nan, prod
 from typing import TYPE_CHECKING, Any
 
@@ -29,13 +29,8 @@ from levkas.stages.spectra import broad_centroids, credits_of
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
-    from levkas.core.cube import Cube, CubeRows
-    from levkas.geometry.joining import Seams
-    from levkas.geometry.transforms import Transform
     from levkas.stages.parts import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
 
@@ -47,101 +42,70 @@ LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""
 
 
-@dataclass(frozen=True)
-class GridTarget:
-    """The layer that a capture is resampled to.
-
-    Parameters
-    ----------
-    size : (width, height)
-    maps : dict of label to Transform
-        Grid px → native px.
-    verdict : str
-        Of the registration, for the catalogue.
-    encoded : bool
-        Whether values are those of an image file, which are shown as they are.
-    default : DefaultLayer or None
-        The same camera's layer under its default setup, where it was published like this one.
-    """
-
-    capture: Capture
-    layer: Layer
-    size: tuple[int, int]
-    maps: dict[str, Transform]
-    verdict: str
-    encoded: bool
-    default: DefaultLayer | None
-
-
-def target_of(
+def resample(
     capture: Capture, native: CalibratedCapture, frame: ReferenceFrame, record: dict[str, Any]
-) -> GridTarget:
-    """Return the layer that a capture is resampled to; `record` is that of its registration."""
-    campaign, places, name = frame.campaign, frame.places, capture.object
-    grid = record["grid"]
+) -> Written:
+    """Write a capture on the grid, by the `record` of its registration; orientation, crop, scale and registration are one map.
+
+    What is held whole is interpolated before anything is written; rows of a scan, of tiles and of strips as they are written.
+    """
+    campaign, places, maps = frame.campaign, frame.places, maps_on_grid(record)
+    width, height = record["grid"]["size"]
+    shape, where = (height, width, len(native.bands)), (capture.object, capture.camera)
     layer = Layer(
-        *(name, capture.camera, capture.setup, grid["px_per_mm"] or nan),
-        credits_of(campaign, name, native.captured or ""),
+        *(*where, capture.setup, record["grid"]["px_per_mm"] or nan),
+        credits_of(campaign, capture.object, native.captured or ""),
         broad_centroids(campaign, capture.camera, capture.bands),
     )
-    width, height = grid["size"]
-    shape = (height, width, len(native.bands))
-    default = None
     if capture.tiles:
         native.placement = Placement.of(record)
+    with placing(capture.sensors[0].object):
+        grid = on_grid(native, maps, (width, height), spool=places.kept)
+    if grid.has_sigma:
+        layer = replace(layer, step_per_sigma=STEP_PER_SIGMA)
+    default, gains, notes = None, None, dict[str, Any]()
     if capture.setup and native.quantity == "reflectance" and native.is_held:
-        values, flags = (places.layer(name, capture.camera, kind=k) for k in (".tif", ".flags.tif"))
+        values, flags = (places.layer(*where, kind=kind) for kind in (".tif", ".flags.tif"))
         default = DefaultLayer.open(values, flags, shape)
-    verdict, encoded = decided(record["verdict"]), _is_encoded(capture, campaign)
-    size, maps = (width, height), maps_on_grid(record)
-    return GridTarget(capture, layer, size, maps, verdict, encoded, default)
+    if default is not None and len(grid.blocks()) > 1:
+        gains = _gains(on_grid(native, maps, (width, height)), default)
+    if grid.has_sigma and native.quantity == "reflectance":
+        notes["noise_correlation"] = noise_correlation(native, maps, (width, height)).tolist()
+    thinned = not native.is_held or prod(shape) > THINNED_SAMPLES
+    statistics = LayerStatistics(default, gains, THINNED if thinned else 1)
+    rows, white, seams = grid.cube(), _white_of(native), grid.seams
+    del native, grid  # their memory goes before the layer is written
+    least = least_bytes(prod(shape), rows.quantity, noisy=rows.has_sigma)
+    require_space(places.output, 2 * least)  # as TIFF and as Zarr
+    entry, files = write_layer(
+        places.output,
+        layer,
+        statistics.flagged(rows),
+        verdict=decided(record["verdict"]),
+        encoded=_is_encoded(capture, campaign),
+        white=white,
+    )
+    notes |= {
+        **_similarity(frame, capture, statistics.grey),
+        "flags": describe_flags(statistics.flags),
+        "entry": entry.to_row(),
+        "glare": statistics.glare,
+        "ranges": statistics.ranges(),
+        **statistics.sigma_map(),
+    }
+    warnings: tuple[str, ...] = ()
+    if seams:
+        notes["seams"] = [one for some in seams.values() for one in some.records()]
+        found = describe_steps(notes["seams"])
+        warnings = tuple(f"{capture.object}/{capture.layer}: {text}" for text in found)
+        notes["warnings"] = list(warnings)
+    return Written(files, notes, warnings=warnings)
 
 
 def _is_encoded(capture: Capture, campaign: Campaign) -> bool:
     if campaign.cameras[capture.camera].traits.is_calibrated:
         return False  # below: colours of a camera raw are proportional to light
     return read_facts(capture.sensors[0].object[0].path).kind != "raw-colours"
-
-
-@dataclass(frozen=True)
-class Resampled:
-    """A capture on the grid, before it is written.
-
-    Parameters
-    ----------
-    statistics : LayerStatistics
-        Of the rows that have passed.
-    white : float or None
-        Count shown as white, as of `database.layers.write_layer`.
-    correlation : ndarray or None
-        Of the noise of neighbours, `neighbour_correlation`; None where noise is not known.
-    seams : dict of sensor to Seams
-        What tiles or strips differ by, of the rows that have passed.
-    """
-
-    rows: Cube | CubeRows
-    statistics: LayerStatistics
-    white: float | None
-    correlation: np.ndarray | None = None
-    seams: Mapping[str, Seams] = field(default_factory=dict)
-
-
-def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFrame) -> Resampled:
-    """Return a capture on the grid; orientation, crop, scale and registration are one map.
-
-    What is held whole is interpolated now; rows of a scan are when they are written.
-    """
-    size, default, maps = target.size, target.default, target.maps
-    with placing(target.capture.sensors[0].object):
-        grid = on_grid(native, maps, size, spool=frame.places.kept)
-    several = default is not None and len(grid.blocks()) > 1
-    gains = _gains(on_grid(native, maps, size), default) if default and several else None
-    correlation = None
-    if grid.has_sigma and native.quantity == "reflectance":
-        correlation = noise_correlation(native, maps, size)
-    thinned = not native.is_held or prod(size) * len(native.bands) > THINNED_SAMPLES
-    statistics = LayerStatistics(default, gains, THINNED if thinned else 1)
-    return Resampled(grid.cube(), statistics, _white_of(native), correlation, grid.seams)
 
 
 def _gains(grid: GridRows, default: DefaultLayer) -> np.ndarray:
@@ -161,40 +125,7 @@ def _white_of(native: CalibratedCapture) -> float | None:
     return counts_white(np.stack(shown, -1), find_rendering(native.bands), step=1)
 
 
-def write_resampled(made: Resampled, target: GridTarget, frame: ReferenceFrame) -> Written:
-    """Write a layer."""
-    rows, statistics = made.rows, made.statistics
-    least = least_bytes(prod(rows.shape), rows.quantity, noisy=rows.has_sigma)
-    require_space(frame.places.output, 2 * least)  # as TIFF and as Zarr
-    layer = replace(target.layer, step_per_sigma=STEP_PER_SIGMA) if rows.has_sigma else target.layer
-    entry, files = write_layer(
-        frame.places.output,
-        layer,
-        statistics.flagged(rows),
-        verdict=target.verdict,
-        encoded=target.encoded,
-        white=made.white,
-    )
-    notes = {
-        **similarity(frame, target.capture, statistics.grey),
-        "flags": describe_flags(statistics.flags),
-        "entry": entry.to_row(),
-        "glare": statistics.glare,
-        "ranges": statistics.ranges(),
-        **statistics.sigma_map(),
-    }
-    warnings: tuple[str, ...] = ()
-    if made.correlation is not None:
-        notes["noise_correlation"] = made.correlation.tolist()
-    if made.seams:
-        notes["seams"] = [one for seams in made.seams.values() for one in seams.records()]
-        where = f"{target.capture.object}/{target.capture.layer}"
-        warnings = tuple(f"{where}: {text}" for text in describe_steps(notes["seams"]))
-        notes["warnings"] = list(warnings)
-    return Written(files, notes, warnings=warnings)
-
-
-def similarity(
+def _similarity(
     frame: ReferenceFrame, capture: Capture, grey: tuple[np.ndarray, np.ndarray]
 ) -> dict[str, Any]:
     """Return SSIM against the reference layer, and its map as PNG text, for the report."""
@@ -207,11 +138,11 @@ def similarity(
     score, full = structural_similarity(frame.grey[0], grey[0], frame.grey[1] & grey[1])
     if np.isnan(score):
         return none
-    picture = base64.b64encode(encode_png(shrink_map(full))).decode("ascii")
+    picture = base64.b64encode(encode_png(_shrink_map(full))).decode("ascii")
     return {"ssim": score, "ssim_map": picture}
 
 
-def shrink_map(full: np.ndarray) -> np.ndarray:
+def _shrink_map(full: np.ndarray) -> np.ndarray:
     """Return an SSIM map as bytes, 0 to 255 for 0 to 1, at most `LONGEST_MAP` px long."""
     step = max(1, -(-max(full.shape) // LONGEST_MAP))
     height, width = (n // step * step for n in full.shape)

@@ -132,29 +132,21 @@ class Scan:
         """Return the capture, its lines calibrated whenever they are taken."""
         parts = []
         for number, strip in enumerate(self.strips, 1):
-            like = self.room(strip, 0)
-            lines = LineBuffer(self, strip)
-            parts.append(
-                Part(
-                    *(self.context.sensor.name, self.bands, strip.shape, like.quantity),
-                    *(like.has_sigma, lines.read, str(number)),
-                    is_held=False,
-                )
-            )
+            like, lines = self.room(strip, 0), LineBuffer(self, strip)
+            facts = self.context.sensor.name, self.bands, strip.shape, like.quantity, like.has_sigma
+            parts.append(Part(*facts, lines.read, str(number), is_held=False))
         return self._captured(parts, survey=self._survey)
 
     def held(self) -> CalibratedCapture:
         """Return the capture, all lines calibrated now."""
-        passing, cubes = ScanPass(self), []
-        for strip in self.strips:
+        passing, parts, name = ScanPass(self), [], self.context.sensor.name
+        for number, strip in enumerate(self.strips, 1):
             cube, y = self.room(strip, strip.shape[0]), 0
             for block in passing.blocks(strip):
                 _copy(block, slice(None), cube, y)
                 y += len(block.values)
                 del block  # before the next lines are made
-            cubes.append(cube)
-        name = self.context.sensor.name
-        parts = [Part.held(cube, name, name=str(n)) for n, cube in enumerate(cubes, 1)]
+            parts.append(Part.held(cube, name, name=str(number)))
         made = self._captured(parts, focus=median_focus(passing.focus))
         notes = passing.notes()
         if self.boxes:
@@ -213,9 +205,9 @@ class Scan:
             lost = np.stack([~image.valid for image in images], -1).astype(np.uint8)
             cube = Cube(values, lost, None, self.bands, made.quantity)
             parts.append(Part.held(cube, part.sensor, name=part.name))
-            place = self.placement.parts[part.name]
-            moved = {id(m): Composed(grow, m, Inverse(grow)) for m in place.maps.values()}
-            places[part.name] = PartPlace({k: moved[id(m)] for k, m in place.maps.items()})
+            onto = next(iter(self.placement.parts[part.name].maps.values()))  # one of all bands
+            onto = Composed(grow, onto, Inverse(grow))
+            places[part.name] = PartPlace(dict.fromkeys(cube.labels, onto))
         return CalibratedCapture(parts, placement=Placement(places, (width, height))).images()
 
     # --- lines
@@ -343,10 +335,7 @@ class ScanPass:
 
 
 class Pictures:
-    """Every band of a strip of some `shape`, (lines, samples, bands), as registration takes it, gathered while its lines pass by.
-
-    A pixel is the mean of `factor` x `factor` px.
-    """
+    """Every band of a strip as registration takes it, gathered while its lines pass by: means of `factor` x `factor` px."""
 
     def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band], factor: int) -> None:
         self._bands, self._factor = bands, factor
