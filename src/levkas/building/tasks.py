@@ -124,15 +124,13 @@ class Stages:
         capture, _ = captures_of(task)
         for folder in (self.places.folder(capture.object), self.places.store(capture.object)):
             make_folder(folder)
-        frame, record, native = (
-            self.frame(task),
-            record_of(self.places, capture),
-            self.native(capture),
-        )
-        self._native = None
-        holder = [native]
-        del native  # whoever takes it lets its memory go before the layer is written
-        return resample(capture, holder.pop(), frame, record)
+        frame, record = self.frame(task), record_of(self.places, capture)
+        return resample(capture, self._taken(capture), frame, record)
+
+    def _taken(self, capture: Capture) -> CalibratedCapture:
+        """Return a calibrated capture, which is held no longer: its memory goes before the layer is written."""
+        native, self._native = self.native(capture), None
+        return native
 
 
 def size_of(campaign: Campaign, name: str) -> tuple[float, float] | None:
