@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -154,16 +155,18 @@ def _attempt(
     ours: CameraFeatures, theirs: CameraFeatures, side: int, pairs: Sequence[tuple[int, int]]
 ) -> InitialTransform | None:
     """Return the map on which mutual matches of some pairs of pictures agree, as they are or mirrored, or None."""
-    best, best_pair = None, (0, 0)
+    wanted = {(ours, i) for i, _ in pairs} | {(theirs, j) for _, j in pairs}
+    each(lambda one: one[0].key_points(side, one[1]), list(wanted))  # several at a time
+    points = [(ours.key_points(side, i), theirs.key_points(side, j)) for i, j in pairs]
+    best, matched = None, 0
     for mirror in (False, True) if pairs else ():
-        found = _match_pictures(ours, theirs, side, pairs, mirror)
+        found = each(partial(match_mutually, mirror=mirror), *zip(*points, strict=True))
         every = TentativeMatches.joined(found)
         tried = fit_robustly(every, mirror, ours.shape) or _fit_cluster(every, mirror, ours.shape)
         if tried is None:
             continue
         if best is None or tried.count > 1.2 * best.count:
-            best = tried
-            best_pair = pairs[max(range(len(pairs)), key=lambda k: len(found[k]))]
+            best, matched = tried, max(range(len(pairs)), key=lambda k: len(found[k]))
         if tried.count > SETTINGS.sure_share * len(every):
             break
     if best is None:
@@ -172,22 +175,7 @@ def _attempt(
         more = _search_widely(ours, theirs, side, best)
         if more is not best:
             return more
-    i, j = best_pair
-    return rematch(best, ours.key_points(side, i), theirs.key_points(side, j), ours.shape)
-
-
-def _match_pictures(
-    ours: CameraFeatures,
-    theirs: CameraFeatures,
-    side: int,
-    pairs: Sequence[tuple[int, int]],
-    mirror: bool,
-) -> list[TentativeMatches]:
-    """Match all pairs of pictures, several at a time."""
-    wanted = {(ours, i) for i, _ in pairs} | {(theirs, j) for _, j in pairs}
-    each(lambda one: one[0].key_points(side, one[1]), list(wanted))
-    points = [(ours.key_points(side, i), theirs.key_points(side, j)) for i, j in pairs]
-    return each(lambda both: match_mutually(*both, mirror=mirror), points)
+    return rematch(best, *points[matched], ours.shape)
 
 
 def _search_widely(

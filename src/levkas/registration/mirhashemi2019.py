@@ -9,7 +9,7 @@ the paper leaves them as they are.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -67,8 +67,7 @@ class SensorPicture:
         return find_key_points(stretch(values, valid), valid, detector=detector), back
 
 
-@dataclass(frozen=True)
-class MatchedSensor:
+class MatchedSensor(NamedTuple):
     """One sensor registered: px of the reference → its px, pairs, and what the verdict rests on."""
 
     transform: Transform
@@ -82,8 +81,7 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
 
     Raises RegistrationRefused where no polynomial can be fitted at all; with the trace so far.
     """
-    named = (image.sensor for image in request.reference if image.label == request.reference_band)
-    sensor = next(named)
+    sensor = next(i.sensor for i in request.reference if i.label == request.reference_band)
     area, ours = _reference(request, sensor)
     names = list(dict.fromkeys(image.sensor for image in request.target))
     known: dict[str, Transform] = {sensor: Affine.identity()} if request.is_own else {}
@@ -99,7 +97,7 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
         one = _register_sensor(ours, theirs, options, request.given.get(name, ManualPoints()), mask)
         declared = declared_map(name, align, known)
         apart = declared and distance_between(one.transform, declared, ours.values.shape)
-        found[name] = replace(one, evidence=replace(one.evidence, align_apart_px=apart))
+        found[name] = one._replace(evidence=replace(one.evidence, align_apart_px=apart))
         known[name] = one.transform
     transforms = {image.label: known[image.sensor] for image in request.target}
     if not found:
