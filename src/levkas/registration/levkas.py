@@ -46,10 +46,10 @@ from levkas.registration.starts import (
     read_alignments,
     start_candidates,
 )
-from levkas.registration.verdict import ALIGN_PX, ONLY, Judged, judge
+from levkas.registration.verdict import ALIGN_PX, ONLY, judge
+from levkas.registration.window_fusion import has_information
 
 if TYPE_CHECKING:
-    from levkas.registration.bands import BandImage
     from levkas.registration.methods import LevkasOptions
     from levkas.registration.predictors import ReferenceStack
     from levkas.registration.request import Request
@@ -145,9 +145,17 @@ class _Target:
         request, base = self.request, self.base
         by_hand = request.given.get(name) or ManualPoints()
         mine = [image for image in request.target if image.sensor == name]
-        bands = by_wavelength(mine)
+        bands, labels, shape = (
+            by_wavelength(mine),
+            [image.label for image in mine],
+            self.stack.shape,
+        )
         if by_hand.accepted:
-            return _placed(name, bands, by_hand, self.stack.shape)
+            placed = place_by_hand(by_hand, shape, name)
+            one = RegisteredSensor(
+                name, {}, zero_displacement(1, *frame_centre(shape)), {}, placed=placed
+            )
+            return _with_one_map(one, labels, placed.sigma(shape), shape)
         there = present_bands(bands)
         if request.one_scan:
             bands = there = gather_signal(there)
@@ -162,8 +170,9 @@ class _Target:
             bands, pictures, self.stack, base.keys, CameraFeatures(GreyImages(list(pictures.values()))),
             by_hand, self.reference_sigma, begin or start,
         ).knowing(object_share=self.object_share)  # fmt: skip
-        labels = [image.label for image in mine]
-        return _of_all_maps(found, labels, self.stack.shape) if request.one_scan else found
+        if not request.one_scan:
+            return found
+        return _with_one_map(found, labels, next(iter(found.sigma.values())), shape)
 
     def begin_anew(
         self, name: str, one: RegisteredSensor | RegistrationRefused, declared: Transform
@@ -211,7 +220,7 @@ def _is_refused(one: RegisteredSensor | RegistrationRefused) -> bool:
     """Whether there is no map, or the verdict refuses it."""
     if isinstance(one, RegistrationRefused):
         return True
-    return one.evidence is not None and judge(Judged({ONLY: one.evidence})).decision == "refuse"
+    return one.evidence is not None and judge({ONLY: one.evidence}).decision == "refuse"
 
 
 def _agreeing(one: RegisteredSensor | RegistrationRefused) -> int:
@@ -226,29 +235,17 @@ def _apart(sensor: RegisteredSensor, declared: Transform, shape: tuple[int, int]
     return 0.0 if sensor.base is None else distance_between(sensor.base, declared, shape)
 
 
-def _of_all_maps(
-    found: RegisteredSensor, labels: Sequence[str], shape: tuple[int, int]
+def _with_one_map(
+    one: RegisteredSensor, labels: Sequence[str], sigma: Sigma, shape: tuple[int, int]
 ) -> RegisteredSensor:
-    """Return a sensor of which pictures with the signal of its maps were registered, with the one map for all of these."""
-    assert found.base is not None, "a sensor that was registered has a map"
+    """Return a sensor all of whose bands have its base map."""
+    assert one.base is not None, "a sensor that was registered or placed has a map"
     return replace(
-        found,
-        transforms=dict.fromkeys(labels, found.base),
-        sigma=dict.fromkeys(labels, next(iter(found.sigma.values()))),
+        one,
+        transforms=dict.fromkeys(labels, one.base),
+        sigma=dict.fromkeys(labels, sigma),
         chromatic=zero_displacement(len(labels), *frame_centre(shape)),
     )
-
-
-def _placed(
-    name: str, bands: Sequence[BandImage], by_hand: ManualPoints, shape: tuple[int, int]
-) -> RegisteredSensor:
-    """Return a sensor that a person placed: one map for all of its bands."""
-    placed = place_by_hand(by_hand, shape, name)
-    still = zero_displacement(len(bands), *frame_centre(shape))
-    labels = [band.label for band in bands]
-    transforms = dict.fromkeys(labels, placed.transform)
-    sigma = dict.fromkeys(labels, placed.sigma(shape))
-    return RegisteredSensor(name, transforms, still, {}, sigma, placed=placed)
 
 
 # --- the record
@@ -262,17 +259,17 @@ def _assemble(
 ) -> Registration:
     """Return the registration of a camera with `sensors`, bands in the order of `labels`."""
     placed = {s.name or ONLY: s.placed.to_dict() for s in sensors if s.placed}
-    judged = Judged({s.name or ONLY: s.evidence for s in sensors}, object_share, placed)
+    verdict = judge({s.name or ONLY: s.evidence for s in sensors}, object_share, placed)
     transforms: dict[str, Transform] = {}
     sigma: dict[str, Sigma] = {}
     for sensor in sensors:
         transforms.update(sensor.transforms)
         sigma.update(sensor.sigma)
-    numbers = zip((s.name for s in sensors), judged.numbers().values(), strict=True)
+    numbers = zip((s.name for s in sensors), verdict.numbers.values(), strict=True)
     return Registration(
         method="by hand" if all(s.placed for s in sensors) else "levkas",
         transforms={label: transforms[label] for label in labels},
-        verdict=judge(judged),
+        verdict=verdict,
         errors={"bands": _band_errors(sensors), "sensors": dict(numbers)},
         matches=_matches(sensors[0]),
         model={"kind": "levkas", "mask": mask, "sensors": [_model(s) for s in sensors]},
@@ -312,15 +309,12 @@ def _band_errors(sensors: Sequence[RegisteredSensor]) -> dict[str, dict[str, flo
     result: dict[str, dict[str, float | None]] = {}
     for sensor in sensors:
         for label in sensor.transforms if sensor.windows else ():
-            if label not in sensor.windows:
-                result[label] = {"windows": 0, "explained": None}
-                continue
-            windows = sensor.windows[label]
-            used = np.trace(windows.information, axis1=1, axis2=2) > 0
-            result[label] = {
-                "windows": int(used.sum()),
-                "explained": float(np.median(windows.r2[used])) if used.any() else 0.0,
-            }
+            result[label] = {"windows": 0, "explained": None}
+            if label in sensor.windows:
+                windows = sensor.windows[label]
+                used = has_information(windows.information)
+                explained = float(np.median(windows.r2[used])) if used.any() else 0.0
+                result[label] = {"windows": int(used.sum()), "explained": explained}
     return result
 
 

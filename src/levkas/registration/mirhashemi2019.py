@@ -28,7 +28,7 @@ from levkas.registration.record import (
     refusal,
 )
 from levkas.registration.starts import declared_map, distance_between, read_alignments
-from levkas.registration.verdict import ONLY, Evidence, Judged, judge
+from levkas.registration.verdict import ONLY, Evidence, judge
 from levkas.registration.verification import Overlap, box_of, measure_shape, measure_windows
 from levkas.registration.window_matching import SETTINGS as WINDOWS
 from levkas.registration.window_matching import CheckWindows, search_windows
@@ -112,7 +112,7 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
     return Registration(
         method="mirhashemi2019",
         transforms=transforms,
-        verdict=judge(Judged(evidence, share)),
+        verdict=judge(evidence, share),
         errors=_statistics(found[first].matches),
         matches=found[first].matches,
         trace=cleaned.trace,

@@ -10,7 +10,7 @@ measures how often each class is correct.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from math import inf, isfinite
 from typing import Any, Literal, NamedTuple
 
@@ -342,7 +342,7 @@ RULES = (
         lambda e: f"The map is wrong in {percent(e.off_share * e.seen)} of the layer {_places(e.off)}.", REGION,
     ),
     Rule(
-        "coverage", lambda e: 1 - e.coverage, 0.1, 0.25, 0.85,
+        "coverage", lambda e: 1 - e.coverage, 0.1, 0.5, 0.85,
         lambda e: f"The map was not checked in {percent((1 - e.coverage) * e.seen)} of the layer {_places(e.unsupported)}.",
         REGION, noted=REGION, on=("windows",), lacks_evidence=True,
     ),
@@ -369,7 +369,8 @@ RULES = (
     ),
 )  # fmt: skip
 """In the order of their reasons. `lines`: honest pictures have 0.04 px at most that is more than chance. `held-out error`: 0.6 to
-1.05 of the windows' sigma on right maps of infrared pictures, 0.8 to 11 on maps that are wrong somewhere."""
+1.05 of the windows' sigma on right maps of infrared pictures, 0.8 to 11 on maps that are wrong somewhere. `coverage`: what lies beyond windows
+that confirm a map is doubted by `checked`; cells between them that show little in either light are only named."""
 
 
 def objections_to(evidence: Evidence) -> list[Objection]:
@@ -404,34 +405,23 @@ def objections_to(evidence: Evidence) -> list[Objection]:
 # --- the decision
 
 
-@dataclass(frozen=True)
-class Judged:
-    """What a verdict rests on: the evidence on each sensor, None of one that is registered to nothing, and pairs of a person."""
+def judge(
+    sensors: Mapping[str, Evidence | None],
+    object_share: float = 1.0,
+    placed: Mapping[str, dict[str, Any]] | None = None,
+) -> Verdict:
+    """Decide on a camera by the evidence on its sensors, None of one that is registered to nothing: the worst decides.
 
-    evidence: Mapping[str, Evidence | None]
-    object_share: float = 1.0
-    placed: Mapping[str, dict[str, Any]] = field(default_factory=dict)
-    """Sensors that were placed by hand, by `PlacedByHand.to_dict`."""
-
-    def numbers(self) -> dict[str, dict[str, Any]]:
-        """Return the numbers of a record, by sensor."""
-        nothing = {"held_out_px": None, "alike": False}
-        placed = {name: {"placed_by_hand": one} for name, one in self.placed.items()}
-        return {
-            name: (nothing if one is None else one.to_dict()) | placed.get(name, {})
-            for name, one in self.evidence.items()
-        }
-
-
-def judge(judged: Judged) -> Verdict:
-    """Decide on a camera: the sensor with the worst evidence decides; one that a person placed is neither accepted nor refused."""
-    known = {name: one for name, one in judged.evidence.items() if one is not None}
+    `object_share` of the layer shows the object; sensors that a person `placed`, by `PlacedByHand.to_dict`, are neither accepted nor
+    refused.
+    """
+    placed, known = placed or {}, {name: one for name, one in sensors.items() if one is not None}
     objections = [
         one._replace(reason=_where(name) + one.reason)
         for name, evidence in known.items()
         for one in objections_to(evidence)
     ]
-    outside = 1 - judged.object_share
+    outside = 1 - object_share
     if known and outside >= LEAST_OUTSIDE:
         text = f"{percent(outside)} of the layer lies outside the object's outline and was not checked."
         objections.append(Objection("note", text, ""))
@@ -449,10 +439,16 @@ def judge(judged: Judged) -> Verdict:
         next(steps, ""),
         max((1 - one.confirmed for one in known.values()), default=0.0),
     )
-    if judged.placed and decision != "refuse":
-        labels = [_where(name) + _describe_pairs(one) for name, one in judged.placed.items()]
+    if placed and decision != "refuse":
+        labels = [_where(name) + _describe_pairs(one) for name, one in placed.items()]
         decision, reasons, step, unchecked = "by hand", (*labels, *reasons), LOOK, 1.0
-    return Verdict(decision, reasons, step, judged.numbers(), unchecked, outside)
+    nothing = {"held_out_px": None, "alike": False}
+    numbers = {
+        name: (one.to_dict() if one else nothing)
+        | ({"placed_by_hand": placed[name]} if name in placed else {})
+        for name, one in sensors.items()
+    }
+    return Verdict(decision, reasons, step, numbers, unchecked, outside)
 
 
 def _where(name: str) -> str:
