@@ -23,6 +23,7 @@ from levkas.readers.facts import (
     LibraryMissing,
     UnreadableCapture,
     check_memory,
+    refused,
     unreadable,
 )
 
@@ -163,18 +164,13 @@ def _check(path: Path, array: Any, expected: Shape) -> None:
     """Refuse an array of no plain numbers, of another shape, or that does not fit in memory."""
     dtype, found = array.dtype, array.shape
     if dtype.kind not in NUMBERS or dtype.itemsize > WIDEST or dtype.hasobject:
-        raise unreadable(path, "the file holds no plain numbers", found=str(dtype), fix=FIX)
+        raise refused(path, "array", dtype, code="E_UNREADABLE", expected="plain numbers")
     if len(found) != len(expected) or any(
         want not in (None, side) for side, want in zip(found, expected, strict=True)
     ):
-        raise unreadable(
-            path,
-            "the array has another shape",
-            code="E_SIZE",
-            found=" x ".join(map(str, found)) or "a single number",
-            expected=" x ".join("n" if side is None else str(side) for side in expected),
-            fix=FIX,
-        )
+        sides = " x ".join("n" if side is None else str(side) for side in expected)
+        shape = " x ".join(map(str, found)) or "a single number"
+        raise refused(path, "array", shape, code="E_SIZE", expected=sides)
     check_memory(path, array.size, dtype.itemsize)
 
 

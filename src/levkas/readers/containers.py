@@ -23,7 +23,6 @@ from levkas.readers.facts import (
     check_size,
     decoding,
     refused,
-    unreadable,
 )
 from levkas.readers.wavelengths import read_centres
 
@@ -49,7 +48,6 @@ MOST_HEADER = 1 << 16
 RIPPLE_TYPES = {"signed": "i", "unsigned": "u", "float": "f"}
 RIPPLE_SIZES = {"i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "f": (4, 8)}
 ORDERS = {"little-endian": "<", "big-endian": ">"}
-FIX = "Save it as ENVI, or with one array of three axes and its wavelengths as `wavelengths`."
 
 
 Listed = dict[str, tuple[tuple[int, ...], str]]
@@ -90,8 +88,8 @@ def _stack_of(path: Path, maps: Listed) -> tuple[list[str], tuple[int, ...]]:
     found = {name: shape for name, (shape, _) in maps.items() if len(shape) == 2}
     groups = sorted({name.rpartition("/")[0] for name in found})
     if len(groups) != 1 or len(set(found.values())) != 1:
-        what, expected = "HDF5 is read where PyMca wrote maps into it", "maps of one size"
-        raise _refused(path, what, ", ".join(groups[:4]), f"one group {RESULTS} with {expected}")
+        expected = f"one group {RESULTS} with maps of one size"
+        raise refused(path, "cube", ", ".join(groups[:4]), expected=expected)
     shape = (*next(iter(found.values())), len(found))
     check_size(path, shape, field="lines, samples, maps")
     check_memory(path, prod(shape), 8)
@@ -157,9 +155,8 @@ def _find_cube(
     """Find the only array of three axes, and its bands by a list of wavelengths beside it, else by an order that is `known`."""
     cubes = [name for name, (shape, _) in listed.items() if len(shape) == 3 and min(shape) > 0]
     if len(cubes) != 1:
-        what = "the file has not one cube" if cubes else "the file has no cube"
         found = ", ".join((cubes or list(listed))[:6]) or "no array of numbers"
-        raise _refused(path, what, found, "one array of three axes")
+        raise refused(path, "cube", found, expected="one array of three axes")
     name = cubes[0]
     shape, dtype = listed[name]
     lists = {n: prod(s) for n, (s, _) in listed.items() if 1 < max(s, default=0) == prod(s)}
@@ -171,9 +168,9 @@ def _find_cube(
         centres = read_centres(waves).nm if len(set(waves)) == len(waves) else None
     among = [axis for axis in range(3) if centres and shape[axis] == len(centres)]
     if len(among) != 1 and not known:
-        what = "it is not known which axis of the cube is that of the bands"
         found = f"{name} of {' x '.join(map(str, shape))}, {len(centres or ())} wavelengths"
-        raise _refused(path, what, found, "a list of wavelengths beside it, as long as one axis")
+        expected = "a list of wavelengths beside it, as long as one axis, that of the bands"
+        raise refused(path, "cube", found, expected=expected)
     band = among[0] if len(among) == 1 else 2
     lines, samples = (axis for axis in range(3) if axis != band)
     if centres and len(centres) != shape[band]:
@@ -182,10 +179,6 @@ def _find_cube(
     check_size(path, size, field="lines, samples, bands")
     check_memory(path, prod(size), 8)
     return name, (lines, samples, band), Facts(path, kind, size, dtype, wavelengths=centres)
-
-
-def _refused(path: Path, what: str, found: str, expected: str) -> Exception:
-    return unreadable(path, what, field="format", found=found, expected=expected, fix=FIX)
 
 
 # --- Ripple -----------------------------------------------------------------------------------
@@ -228,19 +221,20 @@ def _open_ripple(path: Path) -> tuple[Facts, int, np.dtype[Any], bool]:
         text = keys.get(key, "")
         if text.isascii() and text.isdigit() and len(text) < 16:
             return int(text)
-        raise _not_understood(path, key, text or "no such key", "a whole number")
+        raise refused(path, "Ripple", text or "no such key", key=key, expected="a whole number")
 
     shape = whole("height"), whole("width"), whole("depth")
     kind, size = RIPPLE_TYPES.get(keys.get("data-type", ""), ""), whole("data-length")
     order, record = keys.get("byte-order", "dont-care"), keys.get("record-by", "dont-care")
     if size not in RIPPLE_SIZES.get(kind, ()):
         found, expected = f"{keys.get('data-type')} of {size} bytes", "signed, unsigned or float"
-        raise _not_understood(path, "data-type, data-length", found, f"{expected} of 1 to 8")
+        words = {"key": "data-type, data-length", "expected": f"{expected} of 1 to 8"}
+        raise refused(path, "Ripple", found, **words)
     if size > 1 and order not in ORDERS:
-        raise _not_understood(path, "byte-order", order, " or ".join(ORDERS))
+        raise refused(path, "Ripple", order, key="byte-order", expected=" or ".join(ORDERS))
     if record not in ("image", "vector") and shape[2] > 1:
         expected = "image (map after map) or vector (pixel after pixel)"
-        raise _not_understood(path, "record-by", record, expected)
+        raise refused(path, "Ripple", record, key="record-by", expected=expected)
     offset = whole("offset") if "offset" in keys else 0
     dtype, data = np.dtype(f"{ORDERS.get(order, '|')}{kind}{size}"), ripple_data(path)
     check_size(path, shape, field="width, height, maps")
@@ -250,8 +244,3 @@ def _open_ripple(path: Path) -> tuple[Facts, int, np.dtype[Any], bool]:
         raise refused(path, "cut", f"{there} bytes in {data.name}", **words)
     facts = Facts(path, "ripple", shape, dtype.newbyteorder("=").name)
     return facts, offset, dtype, record != "vector"
-
-
-def _not_understood(path: Path, field: str, found: str, expected: str) -> Exception:
-    more = {"found": found, "expected": expected, "fix": "Correct the .rpl."}
-    return unreadable(path, f"`{field}` is not understood", field=field, **more)

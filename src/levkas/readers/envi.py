@@ -81,10 +81,9 @@ class EnviFile:
                     while left and (got := handle.readinto(left)):
                         left = left[got:]
                     if left:
-                        end = handle.tell()
-                        more = {"found": f"{end} bytes", "expected": f"{end + len(left)} bytes"}
-                        message = "the data are truncated"
-                        raise unreadable(self.data, message, code="E_TRUNCATED", **more)
+                        found, needed = f"{handle.tell()} bytes", handle.tell() + len(left)
+                        words = {"field": "data", "expected": f"{needed} bytes"}
+                        raise refused(self.data, "cut", found, **words)
         except OSError as error:
             raise unreadable(self.data, "the data cannot be read", found=str(error)) from error
 
@@ -177,8 +176,7 @@ def _layout_of(header: EnviHeader) -> Layout:
         ("byte order", order, order in (0, 1), "0 for little-endian, 1 for big-endian numbers"),
     ):
         if not right:
-            fix = f"Correct `{key}` in the header, or save the cube again."
-            raise header.refusal(f"this {key} is not read", key, found, expected, fix)
+            raise refused(header.path, "layout", found, key=key, expected=expected)
     dtype = np.dtype("<>"[order] + DATA_TYPES[code])
     offset = header.whole("header offset", least=0, default=0)
     return Layout((lines, samples, bands), interleave, dtype, offset)
@@ -191,15 +189,12 @@ def _check_length(header: EnviHeader, data: Path, layout: Layout) -> None:
         return
     field, fix = _likely_field(found, layout)
     lines, samples, bands = layout.shape
-    raise unreadable(
-        data,
-        "the data do not match their header",
-        code="E_TRUNCATED" if found < layout.end else "E_SIZE",
-        field=f"{header.path.name}: {field}",
-        found=f"{found} bytes",
-        expected=f"{layout.end} bytes for {lines} lines x {samples} samples x {bands} bands",
-        fix=fix,
-    )
+    words = {
+        "code": "E_TRUNCATED" if found < layout.end else "E_SIZE",
+        "field": f"{header.path.name}: {field}",
+        "expected": f"{layout.end} bytes for {lines} lines x {samples} samples x {bands} bands",
+    }
+    raise refused(data, "length", f"{found} bytes", fix=fix, **words)
 
 
 def _likely_field(found: int, layout: Layout) -> tuple[str, str]:

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 from levkas.core.text import what_stands_at
-from levkas.readers.facts import UnreadableCapture, refused, unreadable
+from levkas.readers.facts import refused, unreadable
 
 LONGEST_HEADER = 4 << 20
 MOST_KEYS = 5000
@@ -63,17 +62,8 @@ class EnviHeader:
         value = self.number(key)
         if value is None or value != int(value) or value < least:
             found = self.text(key)[:80] or "nothing"
-            fix = f"Write `{key} = …` with the value from the camera's software."
-            expected = f"a whole number from {least}"
-            raise self.refusal(f"the header has no {key}", key, found, expected, fix)
+            raise refused(self.path, "key", found, key=key, least=least)
         return int(value)
-
-    def refusal(
-        self, message: str, field: str, found: Any, expected: Any, fix: str
-    ) -> UnreadableCapture:
-        """Return the refusal of a field, ready to raise."""
-        more = {"field": field, "found": found, "expected": expected}
-        return unreadable(self.path, message, fix=fix, **more)
 
 
 def check_list(header: EnviHeader, key: str, count: int, bands: int, *, one: bool = False) -> None:
@@ -137,25 +127,14 @@ def find_data(header: EnviHeader, needed: int) -> Path:
             found.append(candidate)
     if not found:
         odd = [f"{name}: {what}" for name, what in there.items() if what != "no such file"]
-        message, fix = (
-            "the header has no data file beside it",
-            "Put the data beside their header, with the same name.",
-        )
-        expected = f"{stem} with one of {', '.join(DATA_SUFFIXES[:-1])}, or no suffix"
-        raise header.refusal(
-            message, "data file", "; ".join(odd[:3]) or "no such file", expected, fix
-        )
+        words = {"stem": stem, "suffixes": ", ".join(DATA_SUFFIXES[:-1])}
+        raise refused(path, "no data", "; ".join(odd[:3]) or "no such file", **words)
     if found[0].name == named or len(found) == 1:
         return found[0]
     fitting = [f for f in found if f.stat().st_size == needed]
     if len(fitting) == 1:
         return fitting[0]
-    message, fix = (
-        "several files may hold the data of this header",
-        "Move the other files, or open the data file by its own name.",
-    )
-    several, expected = ", ".join(f.name for f in found), f"one of {needed} bytes"
-    raise header.refusal(message, "data file", several, expected, fix)
+    raise refused(path, "several data", ", ".join(f.name for f in found), needed=needed)
 
 
 # --- text -------------------------------------------------------------------------------------
@@ -168,12 +147,9 @@ def parse_header(path: Path) -> EnviHeader:
     other.
     """
     header = EnviHeader(path, {})
-    rows, fix = _rows(path), "Name the header of an ENVI cube, or remove the file from `files`."
+    rows = _rows(path)
     if not rows or not rows[0].strip().upper().startswith("ENVI"):
-        found = (rows or [""])[0][:40]
-        raise header.refusal(
-            "this is not an ENVI header", "header", found, "a first line ENVI", fix
-        )
+        raise refused(path, "no ENVI", (rows or [""])[0][:40], most=MOST_KEYS)
     left = iter(rows[1:])
     for row in left:
         name, equals, text = row.partition("=")
@@ -182,15 +158,11 @@ def parse_header(path: Path) -> EnviHeader:
         key, text = re.sub(r"\s+", " ", name.strip().lower()), text.strip()
         value = _list(header, key, text, left) if text.startswith("{") else _bare(text)
         if key in LAYOUT and header.fields.get(key, value) != value:
-            message, found = (
-                f"the header gives its {key} twice",
-                f"{header.fields[key]} and {value}",
-            )
-            raise header.refusal(message, key, found, "one value", "Delete the line that is wrong.")
+            found = f"{header.fields[key]} and {value}"
+            raise refused(path, "twice", found, key=key)
         header.fields[key] = value
         if len(header.fields) > MOST_KEYS:
-            found, expected = f"over {MOST_KEYS}", f"at most {MOST_KEYS}"
-            raise header.refusal("the header has too many keys", "header", found, expected, fix)
+            raise refused(path, "no ENVI", f"over {MOST_KEYS} keys", most=MOST_KEYS)
     return header
 
 
@@ -225,8 +197,7 @@ def _list(header: EnviHeader, key: str, text: str, left: Iterator[str]) -> list[
     while "}" not in parts[-1]:
         row = next(left, None)
         if row is None:
-            message, fix = "a list in the header is not closed", "Write the } where the list ends."
-            raise header.refusal(message, key, "the end of the file", "a closing }", fix)
+            raise refused(header.path, "open list", "the end of the file", key=key)
         parts.append(row)
     inner = "\n".join(parts).rpartition("}")[0]
     return [_bare(v) for v in re.split(r"[,\n]", inner) if v.strip()]

@@ -174,6 +174,17 @@ WRONG = {
     "stack": ("E_UNREADABLE", "ImageDescription", "the pages of this stack have no separate tags", "a page a frame", "Save it again with one page per frame."),
     "no header": ("E_UNREADABLE", "header", "the cube has no header", "{stem}.hdr beside it", "Put the header beside its data, under the same name."),
     "long header": ("E_SIZE", "header", "the header is too long", "at most {most} bytes", "This may be the data under the name of the header: a header is a short text."),
+    "key": ("E_UNREADABLE", "{key}", "the header has no {key}", "a whole number from {least}", "Write `{key} = …` with the value from the camera's software."),
+    "no data": ("E_UNREADABLE", "data file", "the header has no data file beside it", "{stem} with one of {suffixes}, or no suffix", "Put the data beside their header, with the same name."),
+    "several data": ("E_UNREADABLE", "data file", "several files may hold the data of this header", "one of {needed} bytes", "Move the other files, or open the data file by its own name."),
+    "no ENVI": ("E_UNREADABLE", "header", "this is not an ENVI header", "a first line ENVI, at most {most} keys", "Name the header of an ENVI cube, or remove the file from `files`."),
+    "twice": ("E_UNREADABLE", "{key}", "the header gives its {key} twice", "one value", "Delete the line that is wrong."),
+    "open list": ("E_UNREADABLE", "{key}", "a list in the header is not closed", "a closing }}", "Write the }} where the list ends."),
+    "layout": ("E_UNREADABLE", "{key}", "this {key} is not read", "{expected}", "Correct `{key}` in the header, or save the cube again."),
+    "length": ("{code}", "{field}", "the data do not match their header", "{expected}", "{fix}"),
+    "Ripple": ("E_UNREADABLE", "{key}", "`{key}` is not understood", "{expected}", "Correct the .rpl."),
+    "cube": ("E_UNREADABLE", "format", "the cube of the file is not known", "{expected}", "Save it as ENVI, or with one array of three axes and its wavelengths as `wavelengths`."),
+    "array": ("{code}", None, "the array is not as it should be", "{expected}", "Write the file again with its original program."),
     "list": ("E_BAND_COUNT", "{key}", "the list of {key} does not match the bands", "{bands} numbers", "Write one number per band, or remove the list."),
 }  # fmt: skip
 """What is wrong with a file: code, field, message, what is expected, what to do."""
@@ -185,8 +196,11 @@ def refused(path: str | Path, row: str, found: Any, **words: Any) -> UnreadableC
     >>> print(refused("a.tif", "pages", "over 4096", most=4096))
     the TIFF has too many pages (file: a.tif; field: pages; found: over 4096; expected: at most 4096). Save the frames in several files.
     """
-    code, field, message, expected, fix = (text.format(**words) for text in WRONG[row])
-    return UnreadableCapture(Problem(code, message, str(path), field, str(found), expected, fix))
+    filled = ((text or "").format(**words) or None for text in WRONG[row])
+    code, field, message, expected, fix = filled
+    return UnreadableCapture(
+        Problem(str(code), str(message), str(path), field, str(found), expected, fix)
+    )
 
 
 @contextmanager
