@@ -124,8 +124,8 @@ def _labelled(
     if len(pixels.shape) != 3 or {len(column) for column in columns} != {pixels.shape[2]}:
         what = f"the {name} and the layer differ in the number of bands"
         found, expected = " x ".join(map(str, pixels.shape)), f"{len(labels)} bands"
-        facts = (str(pixels.path), None, found, expected, "Copy the database again.")
-        raise DatabaseRefused(Problem("E_SIZE", what, *facts))
+        fix = "Copy the database again."
+        raise DatabaseRefused(Problem("E_SIZE", what, str(pixels.path), None, found, expected, fix))
     height, width, _ = pixels.shape
     coordinates = {
         "y": ("y", np.arange(height), {"long_name": "row of the grid", "units": "1"}),
@@ -214,15 +214,17 @@ class _ZarrArray(_LazyArray):
             raise DatabaseRefused(_damaged(self.path, error)) from error
 
 
-def _store(root: Path | RemotePath) -> Any:
+def _store(root: Path) -> Any:
     """Return the store of a database as Zarr reads it; a shard that is missing is refused: Zarr takes it for one that was never written."""
     from zarr.storage import LocalStore, ObjectStore, WrapperStore
+
+    remote = root.store if isinstance(root, RemotePath) else None
 
     class WholeStore(WrapperStore[Any]):
         async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
             check_inside(root, root / key)
             try:
-                with root.store.requesting(key) if is_remote(root) else nullcontext():
+                with remote.requesting(key) if remote else nullcontext():
                     found = await super().get(key, prototype, byte_range)
             except FileNotFoundError:
                 found = None
@@ -231,9 +233,10 @@ def _store(root: Path | RemotePath) -> Any:
                 raise DatabaseRefused(Problem("E_TRUNCATED", what, str(root / key), fix=fix))
             return found
 
-    if isinstance(root, RemotePath):
-        return WholeStore(ObjectStore(root.store.objects, read_only=True))
-    return WholeStore(LocalStore(root, read_only=True))
+    store = (
+        ObjectStore(remote.objects, read_only=True) if remote else LocalStore(root, read_only=True)
+    )
+    return WholeStore(store)
 
 
 def _read_description(path: Path) -> dict[str, Any]:
