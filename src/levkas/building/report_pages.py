@@ -164,7 +164,8 @@ def _html(
     reported = {"", *(layer.name for layer in layers)}
     lost = [n for n in dict.fromkeys(step.key.layer for step in refused) if n not in reported]
     first = one.registered.get(one.captures[0].layer)
-    sampling, agreement = first and mm_per_px(first), describe_agreement(pairs)
+    sampling = mm_per_px(first) if first else None
+    agreement = describe_agreement(pairs)
     short = agreement.short if agreement else ()
     problems = [p for step in refused for p in step.problems]
     return render_page(

@@ -93,9 +93,9 @@ def fit_clipped_dark(frames: Sequence[np.ndarray], *, step: float = 1.0) -> Dark
         raise refusal("clipped_too_much", number=zeros, limit=beyond)
     # Twice the 99th percentile lies beyond 4 sigma of what is no hot sensel, even for half a normal.
     top = int(max(2 * np.quantile(pooled, 0.99), 6))
-    shares = np.cumsum(np.bincount(np.minimum(pooled, top + 1))[: top + 1])
-    count = float(shares[-1])
-    shares = shares / count
+    counts = np.cumsum(np.bincount(np.minimum(pooled, top + 1))[: top + 1])
+    count = float(counts[-1])
+    shares = counts / count
     known = (shares * count > FEWEST) & ((1 - shares) * count > FEWEST)
     at, probit = np.flatnonzero(known) + 0.5, ndtri(shares[known])
     # Of a probit z the variance is p (1 − p) / (n φ²); neighbours have most of their errors in common.

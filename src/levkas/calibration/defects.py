@@ -122,7 +122,7 @@ def _neighbours(
     """Return the sensels of some rings of the same phase around places, (n, k) float64, NaN where none is sound; whether one is flagged."""
     steps = np.array([s for s in np.ndindex(2 * ring + 1, 2 * ring + 1) if s != (ring, ring)])
     at = where[:, None, :2] + (steps - ring) * period
-    inside = ((at >= 0) & (at < known.shape[:2])).all(2)
+    inside = np.asarray(((at >= 0) & (at < known.shape[:2])).all(2))
     at = np.where(inside[..., None], at, 0)
     place = (at[..., 0], at[..., 1], *(where[:, 2:].T[..., None]))
     some = np.where(inside, known[place].astype(float), np.nan)

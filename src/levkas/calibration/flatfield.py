@@ -158,10 +158,10 @@ def flat_field(
     numbers = (*map(float, model), dark_correlation(under, white_under))
     inputs = (sides, marks, _wide(np.asarray(scale, np.float64), width), numbers)
     in_threads(_flatten, size[0], inputs, values, flags, variance, worth=values.size)
-    values, flags = values.reshape(shot.mean.shape), flags.reshape(shot.mean.shape)
+    made, marked = values.reshape(shot.mean.shape), flags.reshape(shot.mean.shape)
     quantity = "counts" if white is None and board.unit is None else "reflectance"
     spread = variance.reshape(shot.mean.shape) if known else None
-    return Calibrated(values, flags, spread, quantity, notes)
+    return Calibrated(made, marked, spread, quantity, notes)
 
 
 def _join_bands(

@@ -366,7 +366,8 @@ class LampChange(NamedTuple):
     def in_groups(self, which: np.ndarray, count: int) -> LampChange:
         """Return means over channels that belong together: `which` group each is of, 0 to `count` − 1."""
         parts = [which == group for group in range(count)]
-        return LampChange(*(np.array([v[part].mean() for part in parts]) for v in self[:4]))
+        means = (np.array([v[part].mean() for part in parts]) for v in self[:4])
+        return LampChange(*means)  # type: ignore[arg-type]
 
 
 def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:

@@ -152,9 +152,10 @@ def findings_of(record: SensorRecord, *, in_files: bool = False) -> Iterator[Fin
         yield Finding("full_scale", full["source"] + than, full["counts"])
     darks = record.clipped_darks.values()
     if blacks := [black for one in darks for black in one.get("black", ())]:
-        zeros, noise = (max(one.get(n, 0.0) for one in darks) for n in ("zeros", "noise"))
+        zeros = max(one.get("zeros", 0.0) for one in darks)
+        noise = max(one.get("noise", 0.0) for one in darks)
         ends = dict.fromkeys(f"{black:.2f}" for black in (min(blacks), max(blacks)))
-        yield Finding("darks_clipped", " to ".join(ends), float(zeros), float(noise))  # type: ignore[arg-type]
+        yield Finding("darks_clipped", " to ".join(ends), zeros, noise)
     if lost := {t: one["zeros"] for t, one in record.clipped_darks.items() if "black" not in one}:
         yield Finding("darks_lost", f"in those of {', '.join(lost)}", max(lost.values()))
     if record.bend is not None:

@@ -102,7 +102,9 @@ def calibrate(
     if pattern is not None and not isinstance(pattern, Sequence):
         raise _refused("E_VALUE", "pattern", pattern, "four letters, or rows of channel names")
     expected = "three positive numbers, s: of raw, dark and white"
-    times = _numbers(exposure_s, "exposure_s", expected, "E_EXPOSURES", 3) or [None] * 3
+    times: Sequence[float | None] = (
+        _numbers(exposure_s, "exposure_s", expected, "E_EXPOSURES", 3) or [None] * 3
+    )
     full = _numbers(saturation, "saturation", "counts, a positive number", "E_VALUE", 1)
     board, black = _numbers(reflectance, "reflectance", "numbers above 0"), None
     if isinstance(dark, (int, float, np.number)):

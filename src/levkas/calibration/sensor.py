@@ -215,7 +215,8 @@ class SensorCapture:
             return made
         dark = frames[0] in self.sensor.dark
         level = self.level_under(frames, darks) if dark or len(frames) > 1 else 0.0
-        make = partial(self._dark if dark else self._averaged, frames, level)
+        averaged = self._dark if dark else self._averaged
+        make = partial(averaged, frames, level)
         kept = None if frames[0] in self.sensor.object else self.kept
         template = make() if kept is None else kept.template(
             frames, make, level=level, saturation=self.saturation, exposure=exposure_of(frames[0]),
@@ -233,7 +234,7 @@ class SensorCapture:
         for frames in [f for f in self._made if all(one.band == band for one in f)]:
             del self._made[frames]
 
-    def _dark(self, frames: Sequence[FrameRef], level: None) -> Template:
+    def _dark(self, frames: Sequence[FrameRef], level: np.ndarray | float | None) -> Template:
         return self.unclipped(self._averaged(frames, level), islice(self.read(frames), SHOTS))
 
     def unclipped(self, dark: Template, shots: Iterable[np.ndarray]) -> Template:

@@ -122,9 +122,9 @@ def find_white_area(
     sound = np.pad(np.ones((small[0] - 2 * RIM, small[1] - 2 * RIM), bool), RIM)
     sound &= (scene > 0) & (lit > 0) & (full == 0)
     scene, lit = (np.pad(p[RIM:-RIM, RIM:-RIM], RIM, mode="edge") for p in (scene, lit))
-    details = each(_detail, (scene, lit), (FINE, FINE))
+    shown, board = each(_detail, (scene, lit), (FINE, FINE))
     side = max(3, min(SIDE, min(small) // BLOCKS))
-    uncovered = _without_board(_blocks(*details, sound, side))
+    uncovered = _without_board(_blocks(shown, board, sound, side))
     share, mask = float(uncovered.mean()), None
     if share > MOST:
         raise refusal("white_object", number=share)
@@ -248,8 +248,8 @@ def _require_no_picture(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray) -
     """
     small = min(1.0, min(lit.shape) / 150)
     scale = (FIELDS[0] * small, FIELDS[1] * small)
-    details = each(_detail, (scene, lit), (scale, scale))
-    _, shown, common, counted = _blocks(*details, sound, int(4 * scale[1]))
+    picture, board = each(_detail, (scene, lit), (scale, scale))
+    _, shown, common, counted = _blocks(picture, board, sound, int(4 * scale[1]))
     some = counted > 0.25
     if not some.any() or np.mean(shown[some] > STRUCTURE**2) <= MUCH:
         return

@@ -60,9 +60,9 @@ def as_refusal(error: Exception, what: str, file: str | Path | None = None) -> R
         where = str(error.filename) if error.filename else where
         return Refused(Problem("E_IO", f"{what}: {error.strerror}", where, fix=fix))
     text = _ADDRESS.sub("0x…", " ".join(str(error).split()))[:LONGEST_FOUND]
-    message, found = f"{what}: unexpected {type(error).__name__}", f"{text} ({_places(error)})"
+    message, shown = f"{what}: unexpected {type(error).__name__}", f"{text} ({_places(error)})"
     fix = "This is an error of the program: please send its report to the authors."
-    problem = Problem(CODE, message, where, found=found.strip(), fix=fix)
+    problem = Problem(CODE, message, where, found=shown.strip(), fix=fix)
     return InternalError(problem, report=_report(error, what, file))
 
 

@@ -290,8 +290,9 @@ def _named(array: xarray.DataArray, name: str) -> xarray.DataArray:
 
 
 def _wavelengths(array: xarray.DataArray) -> np.ndarray:
-    known = array["wavelength"].values if "wavelength" in array.coords else []
-    return np.atleast_1d(np.asarray(known, float))
+    if "wavelength" not in array.coords:
+        return np.zeros(0)
+    return np.atleast_1d(np.asarray(array["wavelength"].values, float))
 
 
 def _no_colours(array: xarray.DataArray, expected: str) -> Refused:

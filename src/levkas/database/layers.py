@@ -243,7 +243,9 @@ def describe_files(
             header = TiffHeader(
                 *(pages.shape[:2], centres_of(described.bands, centroids)),
                 *(_describe_bands(described.bands, facts), pages.dtype),
-                *(pages.read_render(), px_per_mm, credits),
+                pages.read_render(),
+                px_per_mm,
+                credits,
             )
             write_encoded_pages(path, pages.strips(), header)
         elif path.suffix == ".png":

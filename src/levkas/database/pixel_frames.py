@@ -233,7 +233,8 @@ def find_map(database: str | Path, name: str, source: str | Frame, target: str |
         records.pixels(frame if isinstance(frame, Frame) else parse_frame(frame))
         for frame in (source, target)
     ]
-    return FrameMap(*ends, records.reference())
+    first, last = ends
+    return FrameMap(first, last, records.reference())
 
 
 def map_points(

@@ -280,7 +280,7 @@ def _resample_planes(
                 [None if planes is None else planes[k][..., None] for planes in three]
                 for three in (given, made)
             )
-            one = _Frame(*source, frame.top, frame.height)  # type: ignore[arg-type]
+            one = _Frame(*source, frame.top, frame.height)  # type: ignore[arg-type, call-arg]
             absent += _resample(next(lattices), shape, rows, one, Warped(*target))  # type: ignore[arg-type]
         for planes, cube in zip(made, (warped.values, warped.flags, warped.variance), strict=True):
             if planes is not None and cube is not None:

@@ -93,8 +93,14 @@ def _worker() -> subprocess.Popen[bytes]:
         _stop(worker)
     # numpy's thread pools would count against the limits and are of no use there.
     env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen([sys.executable, "-P", str(PROGRAM)], bufsize=0, env=env, **pipes)
+    return subprocess.Popen(
+        [sys.executable, "-P", str(PROGRAM)],
+        bufsize=0,
+        env=env,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
 
 
 def _stop(worker: subprocess.Popen[bytes]) -> int:

@@ -188,18 +188,21 @@ def setting_facts(header: EnviHeader) -> dict[str, Any]:
     for setting, pattern in SETTINGS.items():
         keys = [one for one in filled if pattern.fullmatch(one[1])]
         found[setting] = tuple((_spaced(one[0]), _setting(header, *one)) for one in keys) or None
-    for field, names in TEXTS.items():
-        texts = (" ".join(header.text(key).split()) for key in header.named(names))
-        found[field] = next((text for text in texts if text.lower() not in UNKNOWN), None)
+    for field, keys_of in TEXTS.items():
+        said = (" ".join(header.text(key).split()) for key in header.named(keys_of))
+        found[field] = next((text for text in said if text.lower() not in UNKNOWN), None)
     for field, (unit, *names) in NUMBERS.items():
         texts = (header.text(key).lower().strip() for key in header.named(names))
         numbers = (parse_number(text.removeprefix(unit).removesuffix(unit)) for text in texts)
         found[field] = next((number for number in numbers if number and number > 0), None)
     # An aperture may be in another unit.
-    keys = (key for key in header.named(STOPS) if squeeze_key(key)[1] in ("", "f", "f/"))
-    stops = (_STOP.fullmatch(header.text(key).lower()[:40]) for key in keys)
-    numbers = (parse_number(stop[1].replace(",", ".")) for stop in stops if stop)
-    return {**found, "f_number": next((number for number in numbers if number), None)}
+    stops = (
+        _STOP.fullmatch(header.text(key).lower()[:40])
+        for key in header.named(STOPS)
+        if squeeze_key(key)[1] in ("", "f", "f/")
+    )
+    openings = (parse_number(stop[1].replace(",", ".")) for stop in stops if stop)
+    return {**found, "f_number": next((number for number in openings if number), None)}
 
 
 def _spaced(key: str) -> str:

@@ -68,13 +68,14 @@ def _spectral(pages: Sequence[Any], count: int) -> Found:
     except (ValueError, RecursionError):
         record = {}
     record = record if isinstance(record, dict) else {}
-    names, more = record.get("bands"), {}
+    names = record.get("bands")
+    more: Found = {}
     if isinstance(names, list) and len(names) == count:
         more["band_names"] = tuple(map(str, names))
     dtype = pages[0].dtype
     full = {"f": 1.0, "u": REFLECTANCE_CODES}.get(dtype.kind)
     if record.get("quantity", "reflectance") == "reflectance" and dtype.itemsize > 1 and full:
-        more["reflectance_scale"] = (full,) * count
+        more = {**more, "reflectance_scale": (full,) * count}
     numbered = all(wavelength is None for wavelength in record.get("wavelength") or [0])
     return more if numbered else {**_of_centres(values), **more}
 

@@ -194,7 +194,7 @@ class SensorTask:
         alike = np.flatnonzero(explained >= NEARLY * explained[best]).tolist()
         step, whole = self.plain_step, Composed(found.chromatic.transform(best), found.base)
         predictors = self.reference.predictor(step).images
-        results = []
+        results: list[LineDisplacement] = []
         for among in ([best], evenly_spread(alike, LINE_BANDS)):
             if len(among) in (1, LINE_BANDS) and not any(one.displaced for one in results):
                 image = np.mean([self.images[self.bands[i].label] for i in among], 0)
@@ -268,8 +268,10 @@ class RegisteredSensor:
     @property
     def base(self) -> Transform | None:
         """Reference px → native px without the chromatic shifts of bands; None for the reference's own sensor."""
-        if self.placed is not None or self.refined is None:
-            return self.placed and self.placed.transform
+        if self.placed is not None:
+            return self.placed.transform
+        if self.refined is None:
+            return None
         native = () if self.correction is None else (self.correction.transform(),)
         return Composed(self.refined.base, *native)
 
@@ -371,8 +373,8 @@ def _evidence(
         moved=found.moved,
         light=found.light,
         outlines=outlines,
-        line_displacement=lines and lines.to_dict(),
-        line_correction=correction and correction.to_dict(),
+        line_displacement=None if lines is None else lines.to_dict(),
+        line_correction=None if correction is None else correction.to_dict(),
         **found.numbers,
     )
 

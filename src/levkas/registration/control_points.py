@@ -94,7 +94,7 @@ class ControlPoints:
         n = len(columns["reference"])
         for name, default in (("enabled", True), ("check", False)):
             given = getattr(self, name)
-            columns[name] = np.full(n, default) if given is None else np.array(given, bool).ravel()
+            columns[name] = np.full(n, default) if given is None else np.array(given, bool).ravel()  # type: ignore[assignment]
         if n > MOST_POINTS or any(len(value) != n for value in columns.values()):
             found = ", ".join(f"{len(value)} {name}" for name, value in columns.items())
             expected = f"as many of each, at most {MOST_POINTS}"

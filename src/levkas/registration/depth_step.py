@@ -62,7 +62,8 @@ class DepthStep:
         """Return the step with one of its edges elsewhere."""
         edges = self.edges.copy()
         edges[edge] += by
-        edges[4] = np.clip(edges[4], *(n * self.cell for n in WIDTHS))
+        least, most = (n * self.cell for n in WIDTHS)
+        edges[4] = np.clip(edges[4], least, most)
         return replace(self, edges=edges)
 
     def displacing(self, shift: np.ndarray) -> DepthStepShift:

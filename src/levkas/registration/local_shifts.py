@@ -61,7 +61,7 @@ class Predictor:
         self.images = np.ascontiguousarray(images, np.float32)
         self.step, (k, height, width) = step, self.images.shape
         self.shape, self.cell = (height, width), min(cell, height, width)
-        finite = np.isfinite(self.images).all(0)
+        finite = np.asarray(np.isfinite(self.images).all(0))
         self._shown = np.zeros_like(finite)
         sides = finite[1:-1, 2:] & finite[1:-1, :-2] & finite[2:, 1:-1] & finite[:-2, 1:-1]
         self._shown[1:-1, 1:-1] = finite[1:-1, 1:-1] & sides

@@ -96,7 +96,9 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
         mask = area.compared if request.outline is not None else None
         one = _register_sensor(ours, theirs, options, request.given.get(name, ManualPoints()), mask)
         declared = declared_map(name, align, known)
-        apart = declared and distance_between(one.transform, declared, ours.values.shape)
+        apart = None
+        if declared is not None:
+            apart = distance_between(one.transform, declared, ours.values.shape)
         found[name] = one._replace(evidence=replace(one.evidence, align_apart_px=apart))
         known[name] = one.transform
     transforms = {image.label: known[image.sensor] for image in request.target}

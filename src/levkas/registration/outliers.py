@@ -132,7 +132,9 @@ def clean(
     except RegistrationRefused as refused:
         refused.trace = trace()
         raise
-    model, left = Polynomial(terms.order, *frame, rounds[-1][0]), np.where(kept, -1, 0)
+    centre, spread = frame
+    model = Polynomial(terms.order, centre, spread, rounds[-1][0])
+    left = np.where(kept, -1, 0)
     gone = [number for _, number, _ in rounds[:-1]]
     left[gone] = np.arange(1, len(gone) + 1)
     kept = left < 0

@@ -128,8 +128,8 @@ def _white(campaign: Campaign, capture: Capture, measured: Measured) -> Iterator
         sizes = {label: one["sigma"] for bands in charts for label, one in bands.items()}
         yield ErrorSource(CHART, "relative", sizes, "frame", all_bands=False)
         return
-    white, sizes = campaign.targets.white, read_board_uncertainty(campaign, capture)
-    if white is None or sizes is None:
+    white, board = campaign.targets.white, read_board_uncertainty(campaign, capture)
+    if white is None or board is None:
         yield ErrorSource(WHITE, "relative", {}, "campaign", True, "unknown", ADVICE[WHITE])
         return
     owner = white.reflectance if isinstance(white.reflectance, str) else ""
@@ -165,7 +165,7 @@ def _light(
             "clipped_darks" if clipped else BLACK_ROW,
         ),
     ):
-        row = ErrorSource(name, unit, sizes, "frame", all_bands, "measured" if sizes else "unknown")
+        row = ErrorSource(name, unit, sizes, "frame", all_bands, "measured" if sizes else "unknown")  # type: ignore[arg-type]
         whole = len(sizes) >= len({band.label for band in bands})
         yield row if whole else replace(row, advice=ADVICE[advice])
 

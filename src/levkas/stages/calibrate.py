@@ -137,7 +137,8 @@ def write_calibrated(
     credits = credits_of(campaign, capture.object, made.captured or "")
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
     is_published = campaign.database.native
-    folder, files, quantity = folder_of(capture, campaign, places), [], "reflectance"
+    folder, quantity = folder_of(capture, campaign, places), "reflectance"
+    files: list[Path] = []
     with together():
         made.complete()
         if capture.tiles:

@@ -201,7 +201,7 @@ def _fit_bands(
     patches = measure_patches(cube.values, cube.flags, found.areas, pattern=table)
     greys = np.isin(np.arange(len(chart.patches)), chart.greys)
     why = [one.why for one in known]
-    for i in np.flatnonzero(found.unfit):
+    for i in np.flatnonzero(found.unfit).tolist():
         why[i] = why[i] or (
             f"the order of its patches does not match its wavelength ({found.bands[i]:.2f}), as "
             "with a leaking filter; it is scaled by the grey patches alone"
@@ -214,7 +214,7 @@ def _fit_bands(
     table_of = [_of_band(found, patches, i, one.reflectance, greys) for i, one in enumerate(known)]
     whole = {i: fit_light(table_of[i].pick(used[i])) for i, text in enumerate(why) if not text}
     centres = np.array([band.wavelength for band in cube.bands])
-    made = {}
+    made: dict[str, FittedLight] = {}
     for i, label in enumerate(labels):
         part, light, light_of = table_of[i].pick(used[i]), whole.get(i), ""
         if light is None and whole:
@@ -316,8 +316,10 @@ def _record(
         "target": target,
         "reference": reference.source,
         "corners": np.round(found.corners, 2).tolist(),
-        "held_out": max(band["held_out"] for band in bands.values()),
-        "held_out_even_light": max(band["held_out_even_light"] for band in bands.values()),
+        **{
+            key: max(float(band[key]) for band in bands.values())  # type: ignore[arg-type]
+            for key in ("held_out", "held_out_even_light")
+        },
         "bands": bands,
     }
 

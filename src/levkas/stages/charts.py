@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -157,6 +157,7 @@ def measure_charts(
         Slanted edges, px of the cube; of a database, of the grid. A campaign says them in `targets.edges`.
     """
     path, report = Path(subject), ChartReport()
+    charts: Iterable[tuple[str, Path, Chart | None, Callable[[], DevelopedChart]]]
     if path.is_file() and path.name != "campaign.toml":
         _refuse(path, "a cube", {"--camera": cameras, "--object": objects})
         one = ChartFiles(path.name, kind_of(kind or CHART), {"": path}, quantity="")
@@ -212,7 +213,8 @@ def _of_files(edges: tuple[EdgePlace, ...], chart: ChartFiles) -> Subject:
     """Return a chart in files; those of a database say of which quantity they are."""
 
     def read() -> DevelopedChart:
-        cubes, said = {}, ()
+        cubes: dict[str, Cube] = {}
+        said: tuple[str, ...] = ()
         for sensor, path in chart.files.items():
             cube, said = read_cube_file(path)
             cubes[sensor] = replace(cube, quantity=chart.quantity or cube.quantity)
@@ -279,7 +281,9 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
             shots[name] = one.values, other.values
             if cube.sigma is not None and one.sigma is not None and other.sigma is not None:
                 # Half of the shots have the variance o + c, all of them o/2 + c.
-                both, *two = (np.square(c.sigma, dtype=float) for c in (cube, one, other))
+                both, *two = (
+                    np.square(s, dtype=float) for s in (cube.sigma, one.sigma, other.sigma)
+                )
                 common[name] = 2 * both - (two[0] + two[1]) / 2
     return DevelopedChart(
         cubes,
@@ -299,7 +303,7 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
         count,
         edges_of(campaign, capture),
         common,
-        {name: one for name in whole.measured if (one := _of_sensor(whole, name, "stray_light"))},
+        {n: found for n in whole.measured if (found := _of_sensor(whole, n, "stray_light"))},
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -105,7 +105,8 @@ def corrections_of(
     """
     from levkas.registration.manual_points import ManualPoints
 
-    given, options = {}, {}
+    given: dict[str, ManualPoints] = {}
+    options: dict[str, Any] = {}
     for band, edits in campaign.edits.of_layer(capture.object, capture.frame).items():
         sensor, placed = placed_in(capture, band, channel)
         pairs = ManualPoints(**edits.pairs(), accepted=edits.accept == BY_HAND)

@@ -518,7 +518,7 @@ class GridRows:
         (width, height), native, blocks = self._size, self._native, self.blocks()
         if len(blocks) == 1 and self._turned_in is None:
             return self.rows(*blocks[0])
-        rows = (self.rows(*block) for block in blocks)
+        rows: Iterator[Cube] = (self.rows(*block) for block in blocks)
         shape = (height, width)
         if self._turned_in is not None:
             rows, shape = _turned(rows, height, width, self._turned_in), (width, height)
@@ -529,7 +529,7 @@ class GridRows:
         """Return some rows of the grid."""
         native = self._native
         found = [self._joined(name, laid, start, stop) for name, laid in self._laid.items()]
-        values, flags = (_beside([one[n] for one in found]) for n in (0, 1))
+        values, flags = _beside([one[0] for one in found]), _beside([one[1] for one in found])
         sigma = None
         if self.has_sigma:
             sigma = _beside([one[2] for one in found if one[2] is not None])
@@ -543,8 +543,8 @@ class GridRows:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return values, flags and variance of a sensor; its parts are joined."""
         if self._native.placement is None:
-            one = laid[0].warped(start, stop, noisy=self.has_sigma)
-            return one.values, one.flags, one.variance
+            whole = laid[0].warped(start, stop, noisy=self.has_sigma)
+            return whole.values, whole.flags, whole.variance
         parts = []
         for one in laid:
             if one.box[1] < stop and one.box[3] > start:

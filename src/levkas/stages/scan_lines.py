@@ -68,7 +68,7 @@ class Strip:
         context, times = self.context, times_of(self.file.frame)
         shot, darks, white = self._line(0)
         lit = listed(times_in(white)) if white is not None else ()
-        notes = (
+        notes: tuple[Finding | str | None, ...] = (
             *doubt_scaling(listed(times), lit, SAME_TIME),
             *describe_darks(shot, darks, white, context.black),
             *self.templates.area.notes,

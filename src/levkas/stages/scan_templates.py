@@ -135,9 +135,9 @@ class FrameLines:
                 fix = (
                     "Capture dark and white in the same mode and with the same crop as the object."
                 )
-                words = [" ".join(map(str, one)) for one in (found, expected)]
-                problem = f"{role} and object differ in size", str(frame.path), None, *words, fix
-                raise CalibrationRefused(Problem("E_SIZE", *problem))
+                one, other = (" ".join(map(str, some)) for some in (found, expected))
+                what, path = f"{role} and object differ in size", str(frame.path)
+                raise CalibrationRefused(Problem("E_SIZE", what, path, None, one, other, fix))
         return [
             cls(context, tuple(files[frame] for frame in group), times)
             for times, group in by_exposure(frames)

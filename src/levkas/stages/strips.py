@@ -130,7 +130,7 @@ def _overlap(left: np.ndarray, right: np.ndarray) -> OverlapWindows:
     first, tall = max(0, (lines - SCOUT_LINES) // 2), min(lines, SCOUT_LINES)
     begin = Affine.of_box(-(samples // 2), 0)
     middle = [picture[first : first + tall] for picture in (left, right)]
-    found = correlate_tiles(*middle, begin, samples / 2)
+    found = correlate_tiles(middle[0], middle[1], begin, samples / 2)
     if found is None:
         raise _apart(
             "no place at which they match, or several", "detail that does not repeat itself"

@@ -66,11 +66,12 @@ class TemplateCache:
 
         A file that was damaged on the disk fails its checksum and is made anew.
         """
-        if self.digests is None or all(frame.object for frame in frames):
+        digests_of = self.digests
+        if digests_of is None or all(one.object for one in frames):
             return make()
         digest = hashlib.sha256(repr((what, made_with())).encode())
         for frame in frames:
-            content = [*self.digests(frame.path).values()]
+            content = list(digests_of(frame.path).values())
             digest.update(f"{content}:{frame.page}:{frame.order}:{frame.exposure_s};".encode())
         path = self.folder / f"{digest.hexdigest()[:24]}.npz"
         self.used.add(path.name)

@@ -185,7 +185,7 @@ class _Place:
         shape = self.height // step, self.width // step
         if min(shape) < NARROWEST:
             return None
-        maps = (self.corner, Composed(self.corner, transform))
+        maps: tuple[Transform, ...] = (self.corner, Composed(self.corner, transform))
         one, two = (
             picture_on_grid(p, m, shape, step=step) for p, m in zip(pictures, maps, strict=True)
         )

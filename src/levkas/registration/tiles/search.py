@@ -88,7 +88,8 @@ class OverlapSearch:
 
     def measure(self, pair: Pair, begin: Transform, reach: float = PREDICTED_PX) -> bool:
         """Measure an overlap about where it may be, px of the first tile → px of the second; return whether it is found."""
-        outcome = measure_overlap(*map(self.picture, pair), begin, reach=reach)
+        first, second = map(self.picture, pair)
+        outcome = measure_overlap(first, second, begin, reach=reach)
         if isinstance(outcome, NoOverlap):
             self.missed[pair] = outcome.reason
             return False
