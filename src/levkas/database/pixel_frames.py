@@ -346,8 +346,8 @@ def position_sigma_at(records: Records, frame: Frame, points: np.ndarray) -> np.
     grid, entry = records.pixels(Frame()), records.entry(frame)
     values = np.full(len(points), np.nan, np.float32)
     if "sigma" in entry:
-        seen = FrameMap(grid, records.pixels(frame), records.reference())(points)
-        inside = np.isfinite(seen).all(1)
+        native = FrameMap(grid, records.pixels(frame), records.reference())(points)
+        inside = np.isfinite(native).all(1)
         places = grid.from_reference.inverse(points[inside])
         values[inside] = Sigma.from_dict(entry["sigma"])(places)
     return values
