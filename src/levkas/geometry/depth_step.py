@@ -18,18 +18,9 @@ class DepthStepShift:
     displaced against its border, by an amount that grows evenly across it. S rises from 0 to 1 as
     6x⁵ − 15x⁴ + 10x³.
 
-    Parameters
-    ----------
-    lines : ndarray, (4, 3)
-        Left, right, top, bottom: a, b, c of the distance a·x + b·y + c, px, from where the slope of
-        the ledge begins, positive inside; (a, b) of length 1.
-    width : float, px
-        Of the slope.
-    centre, spread : (2,) and float, px
-    shift : ndarray, (3, 2), px
+    `lines`, (4, 3), are left, right, top, bottom: a, b, c of the distance a·x + b·y + c, px, from where the slope of
+    the ledge begins, positive inside; (a, b) of length 1. `width` of the slope, `centre`, (2,), `spread` and `shift`, (3, 2), are px.
 
-    Examples
-    --------
     >>> lines = np.array([[1, 0, -10], [-1, 0, 90], [0, 1, -10], [0, -1, 90.0]])
     >>> shift = np.array([[0.5, 0], [0, 0], [0, 0]])
     >>> sunk = DepthStepShift(lines, 4.0, np.array([50.0, 50]), 50.0, shift)

@@ -134,15 +134,9 @@ class SensorTask:
         jacobian = self.initial.transform.jacobian(np.stack([x, y], -1).reshape(-1, 2))
         return float(np.sqrt(np.median(np.abs(np.linalg.det(jacobian)))))
 
-    @property
-    def finest_step(self) -> int:
-        """Reference px per px of the finest grid on which to compare."""
-        return max(1, round(FINEST_SAMPLING / self.scale))
-
-    @property
-    def plain_step(self) -> int:
-        """Reference px per px of a grid that is about as fine as the picture."""
-        return max(1, round(PLAIN_SAMPLING / self.scale))
+    def step(self, sampling: float) -> int:
+        """Return the reference px per px of a grid, `sampling` native px in each of its px."""
+        return max(1, round(sampling / self.scale))
 
     def cell(self, step: int) -> float:
         """Return the side of a window's cell on a grid, reference px."""
@@ -169,7 +163,7 @@ class SensorTask:
         Where the finest grid is coarser than the reference, since a px of the band is, they are about one px of the grid: few of
         the band, often one.
         """
-        if self.finest_step > 1:
+        if self.step(FINEST_SAMPLING) > 1:
             return max(1, round(scale * step / 1.2))
         return max(1, round(scale / 1.2)) * step
 
@@ -192,7 +186,10 @@ class SensorTask:
         explained = np.array([windows.r2.mean() for windows in found.windows])
         best = int(explained.argmax())
         alike = np.flatnonzero(explained >= NEARLY * explained[best]).tolist()
-        step, whole = self.plain_step, Composed(found.chromatic.transform(best), found.base)
+        step, whole = (
+            self.step(PLAIN_SAMPLING),
+            Composed(found.chromatic.transform(best), found.base),
+        )
         predictors = self.reference.predictor(step).images
         results: list[LineDisplacement] = []
         for among in ([best], evenly_spread(alike, LINE_BANDS)):
@@ -225,24 +222,20 @@ class RefinedMap:
     base: Transform
     """Reference px → native px, without the chromatic aberration of single bands."""
     step: int
-    """Reference px per px of the grid on which it was judged."""
+    band: str
+    """`step`, `band`: reference px per px of the grid on which it was judged, and by which band."""
     chromatic: ChromaticShifts
     selected: SelectedModel
     windows: list[WindowShifts]
     """Shifts of the last round, before its correction; one a band."""
     test: PermutationTest
-    """How far its best band is predicted above chance."""
-    band: str
-    """By which it was judged."""
     rounds: int
     converged: bool
     moved: float
-    """Rounds that were made, and whether the last of them moved the map by little, reference px, the median over windows."""
     light: Light
-    """Whether that band sees light that the reference sees too: only then pictures are compared by likeness (SSIM)."""
     numbers: dict[str, Any]
     checks: CheckWindows
-    """`numbers`, `checks`: of `verify`."""
+    """`test`, …, `checks`: as `Evidence` has them."""
 
 
 @dataclass(frozen=True)
@@ -412,7 +405,7 @@ def refine_map(task: SensorTask) -> RefinedMap:
     way.approach()
     way.converge()
     best = max(range(len(task.bands)), key=lambda i: float(way.windows[i].r2.mean()))
-    judged = max(way.step, task.plain_step)
+    judged = max(way.step, task.step(PLAIN_SAMPLING))
     test = way.exclude_covered(best, judged)
     band, whole = task.bands[best], Composed(way.chromatic.transform(best), way.base)
     step = judged * coarsening(task.reference.shape, judged)
@@ -423,7 +416,7 @@ def refine_map(task: SensorTask) -> RefinedMap:
         predictors, image, step, whole, task.mask, valid, test.predicted, task.cell(judged)
     )
     return RefinedMap(
-        way.base, judged, way.chromatic, way.selected, way.windows, test, band.label, way.rounds,
+        way.base, judged, band.label, way.chromatic, way.selected, way.windows, test, way.rounds,
         way.converged, way.moved, task.light_of(band, whole, judged), numbers, checks,
     )  # fmt: skip
 
@@ -439,7 +432,7 @@ class _Refinement:
 
     def __init__(self, task: SensorTask) -> None:
         self.task, self.base = task, task.initial.transform
-        self.step = task.finest_step
+        self.step = task.step(FINEST_SAMPLING)
         self.chromatic = zero_displacement(len(task.bands), *frame_centre(task.reference.shape))
 
     def approach(self) -> None:
@@ -447,7 +440,7 @@ class _Refinement:
 
         Fine grids of oversampled or noisy pictures hold less information than coarser ones, which average.
         """
-        task, finest = self.task, self.task.finest_step
+        task, finest = self.task, self.task.step(FINEST_SAMPLING)
         bands = evenly_spread(task.bands, COARSE_BANDS)
         identity = [Affine.identity()] * len(bands)
         known = None

@@ -64,8 +64,8 @@ class Observations:
 
     def joined(self, other: Observations) -> Observations:
         """Return these observations, then the others."""
-        names = ("points", "target", "jacobian", "information")
-        return Observations(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in names))
+        columns = ((getattr(self, n), getattr(other, n)) for n in Observations.__annotations__)
+        return Observations(*map(np.concatenate, columns))
 
     def residuals(self, model: Transform) -> np.ndarray:
         """Return (n, 2) residuals in reference px."""
@@ -87,7 +87,7 @@ def inflate_covariance(
     a, b, c = _inverse(information[:, 0, 0], information[:, 0, 1], information[:, 1, 1], 1e-9)
     x, y = residuals.T
     a, b, c = _inverse(a, b, c, _common_variance(a, b, c, x, y))
-    floored = np.stack([np.stack([a, b], 1), np.stack([b, c], 1)], 1)
+    floored = np.moveaxis(np.array([[a, b], [b, c]]), 2, 0)
     return floored, 1 / (1 + (a * x * x + 2 * b * x * y + c * y * y) / 8) ** 2
 
 
@@ -97,24 +97,15 @@ def scale_covariance(
     """Return information as residuals scatter, and robust weights, by Student's t ([lange1989]_).
 
     Each window's covariance times a factor that is common to all, plus a variance that is: what a prediction does not
-    explain pulls a window by as much as it is uncertain, what bends a map between windows pulls all alike.
-
-    Parameters
-    ----------
-    residuals : ndarray, (n, 2), px
-    information : ndarray, (n, 2, 2), 1/px²
-
-    Returns
-    -------
-    information : ndarray, (n, 2, 2), 1/px²
-    weights : ndarray, (n,), 0..1
+    explain pulls a window by as much as it is uncertain, what bends a map between windows pulls all alike. Residuals, (n, 2), are in px,
+    information, (n, 2, 2), in 1/px².
     """
     a, b, c = _inverse(information[:, 0, 0], information[:, 0, 1], information[:, 1, 1], 1e-9)
     x, y = residuals.T
     every = 1 + len(x) // MOST_SCALED
     factor, common = _most_likely(*(values[::every] for values in (a, b, c, x, y)))
     a, b, c = _inverse(a * factor, b * factor, c * factor, common)
-    scaled = np.stack([np.stack([a, b], 1), np.stack([b, c], 1)], 1) / NORMAL
+    scaled = np.moveaxis(np.array([[a, b], [b, c]]), 2, 0) / NORMAL
     return scaled, 1 / (1 + (a * x * x + 2 * b * x * y + c * y * y) / FREEDOM)
 
 

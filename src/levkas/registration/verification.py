@@ -94,14 +94,12 @@ def run_permutation_test(predictor: Predictor, images: Sequence[np.ndarray]) -> 
 
     Of several images, pictures with one map, shares of variance are averaged.
     """
-    shifts = _mean_shifts([measure_shifts(predictor, image) for image in images])
-    used, able = has_information(shifts.information), predictor.counts.reshape(-1) > 0
-    by_chance = _mean_shifts(
-        [
-            measure_shifts(predictor, np.roll(image, [n // 3 for n in image.shape], (0, 1)))
-            for image in images
-        ]
+    rolled = [np.roll(image, [n // 3 for n in image.shape], (0, 1)) for image in images]
+    shifts, by_chance = (
+        _mean_shifts([measure_shifts(predictor, image) for image in some])
+        for some in (images, rolled)
     )
+    used, able = has_information(shifts.information), predictor.counts.reshape(-1) > 0
     null = by_chance.r2[has_information(by_chance.information)]
     level = float(np.quantile(null, 0.95)) if len(null) >= 10 else 0.5
     share = float((shifts.r2[used] > level).mean()) if used.any() else 0.0
