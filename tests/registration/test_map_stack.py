@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from levkas.registration import BandImage, RegistrationRefused, register
 from levkas.registration.bands import sqrt_images
-from levkas.registration.features import CameraFeatures, GreyImages
+from levkas.registration.features import CameraFeatures, grey_pictures
 from levkas.registration.initial import find_coarse_transform
 from levkas.registration.map_stack import gather_signal
 
@@ -65,7 +65,7 @@ def test_signal_is_gathered_in_as_few_pictures_as_there_are_pigments(painting):
 def test_key_points_and_large_blocks_start_maps_right_to_a_px_in_all_corners(painting):
     maps = scan(painting, 1, 25.0)
     ours, theirs = (
-        CameraFeatures(GreyImages(list(sqrt_images(bands).values())))
+        CameraFeatures(grey_pictures(list(sqrt_images(bands).values())))
         for bands in ([photograph(painting, 5)], gather_signal(maps))
     )
     begun = find_coarse_transform(ours, theirs)

@@ -316,7 +316,7 @@ def register_sensor(
     native = () if correction is None else (correction.transform(),)
     whole, outlines = Composed(found.base, *native), None
     if found.numbers["coverage"] < SURE_COVERAGE or np.isinf(found.selected.held_out_error):
-        outlines = match_blocks(ours.greys[:], theirs.greys[:], whole, ours.within)
+        outlines = match_blocks(ours.greys, theirs.greys, whole, ours.within)
     labels = [band.label for band in bands]
     chromatic = chromatic_of_all(found.chromatic, task.bands, bands)
     sigma = measure_sigma(

@@ -139,36 +139,15 @@ def _gather(key_points: Any, descriptors: Any, *, width: int) -> KeyPoints:
 # --- features of the grey pictures of a camera
 
 
-class GreyImages(Sequence[np.ndarray]):
-    """Grey images of a camera: the mean of all bands at one contrast, and up to four others, computed when first used.
-
-    Those are the bands themselves where they are few, else means of parts of the spectrum.
-    """
-
-    def __init__(self, images: Sequence[np.ndarray]) -> None:
-        self._images = images
-        parts = np.array_split(np.arange(len(images)), min(MOST_GREYS, len(images)))
-        self._groups = [range(len(images)), *(parts if len(images) > 1 else ())]
-        self._means: dict[int, np.ndarray] = {}
-
-    def __len__(self) -> int:
-        return len(self._groups)
-
-    def freeze(self) -> None:
-        """Compute all of them, and free the bands."""
-        self[:]
-        self._images = []
-
-    def __getitem__(self, i: Any) -> Any:
-        if isinstance(i, slice):
-            return [self[k] for k in range(*i.indices(len(self)))]
-        if i not in self._means:
-            self._means[i] = _mean([self._images[k] for k in self._groups[i]])
-        return self._means[i]
+def grey_pictures(images: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return the mean of all bands of a camera, and up to four others: the bands themselves where they are few, else means of parts of the spectrum."""
+    parts = np.array_split(np.arange(len(images)), min(MOST_GREYS, len(images)))
+    groups = [range(len(images)), *(parts if len(images) > 1 else ())]
+    return [mean_picture([images[k] for k in group]) for group in groups]
 
 
-def _mean(images: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the mean of images, each in units of its standard deviation, over what is finite."""
+def mean_picture(images: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the mean of images, (h, w), each in units of its standard deviation, over what is finite."""
     total, count = np.zeros((2, *images[0].shape), np.float32)
     for image in images:
         known = np.isfinite(image)

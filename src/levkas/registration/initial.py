@@ -137,7 +137,7 @@ def find_coarse_transform(
             stiff = Affine.fit(places[found.kept], found.target[found.kept])
             begun = replace(found, transform=stiff, reference=places)
             blocks = match_near(
-                reference.greys[:], target.greys[:], stiff, reference.within, mirrored=found.mirrored
+                reference.greys, target.greys, stiff, reference.within, mirrored=found.mirrored
             )  # fmt: skip
             if blocks is not None:
                 return replace(begun, transform=blocks.transform)
@@ -147,7 +147,7 @@ def find_coarse_transform(
 
 def _by_directions(reference: CameraFeatures, target: CameraFeatures) -> InitialTransform | None:
     """Return the affine map on which blocks agree by the directions of their edges, or None."""
-    found = match_by_directions(reference.greys[:], target.greys[:], reference.within)
+    found = match_by_directions(reference.greys, target.greys, reference.within)
     return found and InitialTransform(*found, by_outlines=True)
 
 

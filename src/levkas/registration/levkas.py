@@ -22,7 +22,7 @@ from levkas.registration.coarse_to_fine import (
     frame_centre,
     register_sensor,
 )
-from levkas.registration.features import CameraFeatures, GreyImages
+from levkas.registration.features import CameraFeatures, grey_pictures
 from levkas.registration.initial import find_coarse_transform, find_initial_transform
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.map_stack import gather_signal
@@ -167,7 +167,7 @@ class _Target:
         )
         start = find_coarse_transform if request.one_scan else find_initial_transform
         found = register_sensor(
-            bands, pictures, self.stack, base.keys, CameraFeatures(GreyImages(list(pictures.values()))),
+            bands, pictures, self.stack, base.keys, CameraFeatures(grey_pictures(list(pictures.values()))),
             by_hand, self.reference_sigma, begin or start,
         ).knowing(object_share=self.object_share)  # fmt: skip
         if not request.one_scan:

@@ -25,7 +25,7 @@ from levkas.registration.bands import (
     present_bands,
     sqrt_images,
 )
-from levkas.registration.features import CameraFeatures, GreyImages
+from levkas.registration.features import CameraFeatures, grey_pictures
 from levkas.registration.foreground import Corners, ObjectArea
 from levkas.registration.local_shifts import (
     RIDGE,
@@ -275,10 +275,10 @@ class PreparedReference:
             )
         self.own_bands = [image for image in bands if image.sensor == self.anchor.sensor]
         self.images = sqrt_images(bands)
-        greys = GreyImages([self.images[image.label] for image in self.own_bands])
+        greys = grey_pictures([self.images[image.label] for image in self.own_bands])
         self.area = area or ObjectArea.of(greys[0], region, outline)
         self._mask = self.area.compared
-        self.keys, self._greys = CameraFeatures(greys, self._mask), greys
+        self.keys = CameraFeatures(greys, self._mask)
         self._stack: ReferenceStack | None = None
 
     def object_in(self, band: BandImage) -> np.ndarray:
@@ -310,7 +310,6 @@ class PreparedReference:
     def freeze(self, transforms: Mapping[str, Transform]) -> None:
         """Compute all that other cameras need of the single bands, then free these."""
         self.stack(transforms)
-        self._greys.freeze()
         self.images, self.own_bands = {}, []
         # Bands share their memory with others that are not needed any more.
         values, valid = self.anchor.values.copy(), self.anchor.valid.copy()

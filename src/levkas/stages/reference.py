@@ -16,7 +16,7 @@ from levkas.geometry.grid import Grid, GridRefused
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration import Matches, Registration, Verdict
 from levkas.registration.bands import sqrt_images
-from levkas.registration.features import GreyImages
+from levkas.registration.features import mean_picture
 from levkas.registration.foreground import ObjectArea
 from levkas.registration.methods import method_of
 from levkas.registration.record import Sigma
@@ -132,7 +132,7 @@ class ReferenceFrame:
         """Where the object lies in the overview: all that needs the object takes it from here."""
         anchor = self._image()
         own = [image for image in self.overview if image.sensor == anchor.sensor]
-        grey = GreyImages([*sqrt_images(own).values()])[0]
+        grey = mean_picture([*sqrt_images(own).values()])
         outline = (np.array(self.outline or ()) + 0.5) / self.step - 0.5
         return ObjectArea.of(grey, outline=outline)
 

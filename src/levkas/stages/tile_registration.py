@@ -14,7 +14,7 @@ from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.advice import LEAST_PAIRS
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.chromatic import measured_bands
-from levkas.registration.features import CameraFeatures, GreyImages
+from levkas.registration.features import CameraFeatures, grey_pictures
 from levkas.registration.initial import find_initial_transform
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.predictors import PreparedReference
@@ -119,7 +119,9 @@ class TilesToReference:
         """Return where key points put a tile in the whole reference, reference px → native px; None where they do not agree."""
         there = present_bands(by_wavelength([one for one in images if one.sensor == self._first]))
         shown = sqrt_images([there[i] for i in measured_bands(there)])
-        found = find_initial_transform(self._keys, CameraFeatures(GreyImages(list(shown.values()))))
+        found = find_initial_transform(
+            self._keys, CameraFeatures(grey_pictures(list(shown.values())))
+        )
         if found is None:
             return None
         whole = Inverse(Affine.of_box(0, 0, self.frame.step))
