@@ -256,9 +256,9 @@ LISTED = {"kind", "bits", "black", "saturation", "scan", "denoise", "demosaic"}
 def imprint_of(campaign: Campaign, entries: Iterable[Entry]) -> dict[str, Any]:
     """Return what database.toml says, of what is in the database: `entries` are the rows of its catalogue."""
     described, default = campaign.campaign, default_setup(campaign)
-    seen = {(e.camera, e.setup or default) for e in entries}
-    cameras = {camera for camera, _ in seen}
-    under = {name: sorted(c for c, setup in seen if setup == name) for name in setups_of(campaign)}
+    pairs = {(e.camera, e.setup or default) for e in entries}
+    cameras = {camera for camera, _ in pairs}
+    under = {name: sorted(c for c, setup in pairs if setup == name) for name in setups_of(campaign)}
     return {
         **described.model_dump(include={"title", "creator", "date", "licence"}),
         "reference": described.reference.model_dump(exclude_none=True),

@@ -63,10 +63,10 @@ def build_on(
     done: dict[Key, Step] = {}
     with _connected(workers, len(names)) as client:
         resources = _resources(client, plan, names)
-        asked = [str(campaign.path), str(places.output), verify]
+        wanted = [str(campaign.path), str(places.output), verify]
         jobs = {
             name: client.submit(
-                _build_object, *asked, name,
+                _build_object, *wanted, name,
                 key=f"levkas {name} {time.time_ns()}", retries=RETRIES, resources=resources[name],
             )
             for name in names
@@ -93,12 +93,12 @@ def _results(client: Client, jobs: Mapping[str, Future]) -> Iterator[list[Step]]
     from distributed import wait
 
     waiting, problems = set(jobs.values()), list[Problem]()
-    seen = time.monotonic()
+    last = time.monotonic()
     while waiting:
         with suppress(TimeoutError):
             wait(waiting, timeout=PAUSE_S, return_when="FIRST_COMPLETED")
         if client.status == "running" and client.scheduler_info(n_workers=-1)["workers"]:
-            seen = time.monotonic()
+            last = time.monotonic()
         for name, job in jobs.items():
             if job in waiting and job.done() and job.status != "cancelled":
                 waiting.discard(job)
@@ -106,7 +106,7 @@ def _results(client: Client, jobs: Mapping[str, Future]) -> Iterator[list[Step]]
                     yield job.result()
                 else:
                     problems += _problems_of(name, job.exception())
-        if waiting and time.monotonic() - seen > PATIENCE_S:
+        if waiting and time.monotonic() - last > PATIENCE_S:
             raise _refusal("the last worker has gone", f"{len(waiting)} objects not built", GO_ON)
     if problems:
         raise Refused(*dict.fromkeys(problems))

@@ -15,8 +15,6 @@ import numpy as np
 class Sensor:
     """Sensor of the noise model; the defaults are the example of [mirhashemi2019]_.
 
-    Raises ValueError where a spread or the dark current is negative, or gain or full well is not positive.
-
     Parameters
     ----------
     dark : float
@@ -33,6 +31,20 @@ class Sensor:
         Of the analogue-digital converter.
     full_well : float
         Electrons at which a sensel saturates, > 0.
+
+    Raises
+    ------
+    ValueError
+        Where a spread or the dark current is negative, or gain or full well is not positive.
+
+    Notes
+    -----
+    Eq. (2) of [mirhashemi2019]_, doi:10.3390/computation7030047.
+
+    Examples
+    --------
+    >>> Sensor(bits=14).saturation
+    16383
     """
 
     dark: float = 32.0
@@ -59,11 +71,33 @@ class Sensor:
 
 
 def noise_variance(exposure: float | np.ndarray, sensor: Sensor) -> np.ndarray:
-    """Return the variance of one raw value, electrons², of `exposure` mean photo-electrons; ValueError where one is negative.
+    """Variance of one raw pixel value.
 
-    Second moment of Eq. (2), valid below full well. Over many sensels; the frames of one sensel share u and v, so that their
-    variance lacks ``(prnu·e)² + (dsnu·d)²``.
+    Parameters
+    ----------
+    exposure : float or ndarray, any shape
+        Mean photo-electrons e, >= 0.
+    sensor : Sensor
+        `dark`, `read` in electrons; `prnu`, `dsnu` relative. All are standard deviations.
 
+    Returns
+    -------
+    variance : ndarray, same shape as `exposure`
+        Electrons squared.
+
+    Raises
+    ------
+    ValueError
+        Where an exposure is negative.
+
+    Notes
+    -----
+    Second moment of Eq. (2) of [mirhashemi2019]_, doi:10.3390/computation7030047, terms independent. Valid below full well.
+    Over many sensels; the frames of one sensel share u and v, so that their variance lacks
+    ``(prnu·e)² + (dsnu·d)²``.
+
+    Examples
+    --------
     >>> float(noise_variance(0.0, Sensor(dark=0, read=5.0)))
     25.0
     """

@@ -311,14 +311,14 @@ def _autocorrelation(values: np.ndarray) -> np.ndarray:
 def _describe(shifts: LineShifts, sizes: np.ndarray, lines: Lines, step: int) -> LineDisplacement:
     """Describe what lines have in common; `sizes`, (2,), are reference px per px along and across the lines."""
     kinds = (shifts, shifts.slopes())
-    told = [one.are_displaced(sizes) for one in kinds]
-    shown = [k for k in (0, 1) if told[k][0]] or [int(told[1][1] > told[0][1])]
+    displaced = [one.are_displaced(sizes) for one in kinds]
+    shown = [k for k in (0, 1) if displaced[k][0]] or [int(displaced[1][1] > displaced[0][1])]
     variance = [
         np.maximum(kinds[k].covariance()[0], 0) * (sizes * kinds[k].spread) ** 2 for k in shown
     ]
     along, across = np.sqrt(np.sum(variance, 0))
     most = shown[int(np.argmax([one.sum() for one in variance]))]
     return LineDisplacement(
-        lines, any(one for one, _ in told), max(told[k][1] for k in shown), float(along), float(across),
-        kinds[most].common() * sizes, shifts, tuple(bool(k) for k in shown if told[k][0]), step,
+        lines, any(one for one, _ in displaced), max(displaced[k][1] for k in shown), float(along), float(across),
+        kinds[most].common() * sizes, shifts, tuple(bool(k) for k in shown if displaced[k][0]), step,
     )  # fmt: skip

@@ -48,29 +48,29 @@ STANDING = "as it was"
 """Name of a given map that no model improves."""
 
 
-class Model(NamedTuple):
+class MapModel(NamedTuple):
     """One model of a base map: coefficients of x and y each, least number of observations, and fit."""
 
     name: str
     coefficients: int
     least: int
     fit: Fit
-    plain: Model | None = None
+    plain: MapModel | None = None
     """The same without a step in depth, where it has one."""
 
-    def stepped(self) -> Model:
+    def stepped(self) -> MapModel:
         """Return the same with a step in depth."""
         return self._replace(name=f"{self.name}+depth_step", plain=self)
 
 
 #: From the stiffest to the most yielding; under the quintic observations are weighted, so that no stiffer one declares its misfit outliers.
-LADDER = (
-    Model("similarity", 3, 6, fit_similarity),
-    Model("homography", 4, 16, partial(fit_projective, lens=False)),
-    Model("homography+lens", 9, 36, partial(fit_projective, lens=True)),
-    Model("cubic", 10, 40, partial(fit_polynomial, order=3)),
+MODELS = (
+    MapModel("similarity", 3, 6, fit_similarity),
+    MapModel("homography", 4, 16, partial(fit_projective, lens=False)),
+    MapModel("homography+lens", 9, 36, partial(fit_projective, lens=True)),
+    MapModel("cubic", 10, 40, partial(fit_polynomial, order=3)),
 )
-QUINTIC = Model("quintic", 21, 84, partial(fit_polynomial, order=5))
+QUINTIC = MapModel("quintic", 21, 84, partial(fit_polynomial, order=5))
 
 
 @dataclass(frozen=True)
@@ -91,9 +91,9 @@ class SelectionTerms:
     fixed: int = 0
     """So many of the last observations keep their weight, whatever their residual."""
 
-    def models(self, count: int) -> list[Model]:
+    def models(self, count: int) -> list[MapModel]:
         """Return the plain models that `count` observations determine."""
-        return [one for one in LADDER[: 3 if self.stiff else None] if count >= one.least]
+        return [one for one in MODELS[: 3 if self.stiff else None] if count >= one.least]
 
     def yielding(self, count: int) -> Fit:
         """Return the fit under which `count` observations are weighted."""
@@ -208,7 +208,7 @@ def select_model(
     judged = weighted.part(np.arange(count) % every == 0)
     comparison = ModelComparison(judged, terms.apart, weighted.points)
     if standing is not None:
-        models.insert(0, Model(STANDING, 3, 0, lambda _: standing))
+        models.insert(0, MapModel(STANDING, 3, 0, lambda _: standing))
     for model in models:
         comparison.add(model, [model.fit])
     if not (terms.coarse or terms.stiff) and count >= LEAST_SPLINE:
@@ -232,7 +232,7 @@ def _total(observations: Observations) -> float:
 class Candidate(NamedTuple):
     """One model in a comparison, and the weighted squares that it misses in each observation of a block left out."""
 
-    model: Model
+    model: MapModel
     missed: np.ndarray
     score: float
 
@@ -254,7 +254,7 @@ class ModelComparison:
         """Held-out error of each model by name."""
         return {one.model.name: one.score for one in self.candidates}
 
-    def add(self, model: Model, fits: Sequence[Fit]) -> None:
+    def add(self, model: MapModel, fits: Sequence[Fit]) -> None:
         """Try one more model, richer than those before, and take it where it is better by more than the standard error of that.
 
         Of several `fits`, the one is used that predicts blocks best.
@@ -267,7 +267,7 @@ class ModelComparison:
             self.best = found
         self.candidates.append(found)
 
-    def _try(self, model: Model) -> Candidate:
+    def _try(self, model: MapModel) -> Candidate:
         # What lies under a spline is wanted again, with all folds.
         model = model._replace(fit=lru_cache(2 + EVERY**2)(model.fit))
         missed = np.full(len(self._judged), np.inf)

@@ -131,7 +131,7 @@ class Evidence:
     @property
     def confirmed(self) -> float:
         """Share of the layer where windows or matches confirm the map."""
-        return self.seen * min(self.checked, max(self.coverage, 0.0))
+        return self.visible * min(self.checked, max(self.coverage, 0.0))
 
     @property
     def telling(self) -> int:
@@ -139,7 +139,7 @@ class Evidence:
         return self.agreeing + self.contradicting
 
     @property
-    def seen(self) -> float:
+    def visible(self) -> float:
         """Share of the layer in which the camera shows the object."""
         return self.object_share * self.overlap
 
@@ -266,7 +266,7 @@ def _extrapolated(e: Evidence) -> str:
         if isfinite(e.held_out_px)
         else f"Only {percent(e.confirmed)} of the layer was checked"
     )
-    return f"{text}. In {percent(part * e.seen)} of the layer the map is extrapolated {_places([box])}."
+    return f"{text}. In {percent(part * e.visible)} of the layer the map is extrapolated {_places([box])}."
 
 
 UNEVEN = (
@@ -333,22 +333,22 @@ RULES = (
     ),
     Rule(
         "overlap", lambda e: 1 - e.overlap, 0.2, inf, 0.9,
-        lambda e: f"This camera has no data in {percent(e.object_share - e.seen)} of the layer.",
+        lambda e: f"This camera has no data in {percent(e.object_share - e.visible)} of the layer.",
         refused=f"{OTHER}; if this camera shows only a part of it, capture the rest too.",
         noted="Do not use the layer where this camera has no data.",
     ),
     Rule(
         "off", lambda e: e.off_share, inf, 0.0, 0.2,
-        lambda e: f"The map is wrong in {percent(e.off_share * e.seen)} of the layer {_places(e.off)}.", REGION,
+        lambda e: f"The map is wrong in {percent(e.off_share * e.visible)} of the layer {_places(e.off)}.", REGION,
     ),
     Rule(
         "coverage", lambda e: 1 - e.coverage, 0.1, 0.5, 0.85,
-        lambda e: f"The map was not checked in {percent((1 - e.coverage) * e.seen)} of the layer {_places(e.unsupported)}.",
+        lambda e: f"The map was not checked in {percent((1 - e.coverage) * e.visible)} of the layer {_places(e.unsupported)}.",
         REGION, noted=REGION, on=("windows",), lacks_evidence=True,
     ),
     Rule(
         "coverage by matches", lambda e: 1 - e.coverage, 0.1, 0.25, 0.4,
-        lambda e: f"The map was not checked in {percent((1 - e.coverage) * e.seen)} of the layer {_places(e.unsupported)}.",
+        lambda e: f"The map was not checked in {percent((1 - e.coverage) * e.visible)} of the layer {_places(e.unsupported)}.",
         REGION, noted=REGION, on=("matches",),
     ),
     Rule(
