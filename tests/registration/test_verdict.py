@@ -170,7 +170,8 @@ LINES = {"lines": "rows", "displaced": True, "rms_px": 5.0, "largest_px": 12.0, 
         ({"overlap": 0.6}, "accept", 0.41),  # nothing contradicts the map where it can be looked at
         ({"coverage": 0.85, "unsupported": [CELL]}, "accept", 0.15),
         ({"coverage": 0.4, "unsupported": [CELL]}, "warn", 0.6),  # more than half
-        ({"checked": 0.7}, "warn", 0.3),
+        ({"checked": 0.7, "unchecked": [[*CELL, 0.2]]}, "warn", 0.3),
+        ({"checked": 0.7}, "accept", 0.3),  # in small patches
         ({"off": [CELL], "off_share": 0.05}, "warn", 0.02),
         ({"second_peak_ratio": 0.9}, "warn", 0.02),
         ({"held_out_px": 0.3, "window_sigma_px": 0.1}, "warn", 0.02),
