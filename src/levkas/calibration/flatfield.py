@@ -323,6 +323,10 @@ def _flatten(start, stop, inputs, values, flags, variance):  # type: ignore[no-u
     """
     (shot, dark, white, other), (saturated, lit_saturated, black, bad), scale, model = inputs
     gain, read, white_read, step, common = model
+    dim, white_dim = _model(0.0, gain, read, step), _model(0.0, gain, white_read, step)
+    once = len(white.mean) == len(other.mean) == len(dark.variance) == 1
+    once &= len(white.variance) == len(other.variance) == 1
+    shares = np.empty((3, variance.shape[1]))  # of templates of one line the same in all rows
     for y in range(start, stop):
         counts, back = _row(shot.mean, y), _row(dark.mean, y)
         lit, under, factor = _row(white.mean, y), _row(other.mean, y), _row(scale, y)
@@ -338,13 +342,18 @@ def _flatten(start, stop, inputs, values, flags, variance):  # type: ignore[no-u
             flag = SATURATED if full[x] | lit_full[x] else np.uint8(0)
             flag |= BLACK if clipped[x] else np.uint8(0)
             flags[y, x] = flag | (DEFECT if unsound[x] or lost else np.uint8(0))
-            if variance.size == 0:
-                continue
+        for x in range(variance.shape[1]):
+            light = np.float64(lit[x]) - np.float64(under[x])
+            signal = np.float64(counts[x]) - np.float64(back[x])
             r = signal / light
-            own = _of_mean(shot, signal, of_shot[x], gain, read, step)
-            of_lit = _of_mean(white, light, of_white[x], gain, white_read, step)
-            below = _of_mean(dark, 0.0, of_dark[x], gain, read, step)
-            beside = _of_mean(other, 0.0, of_other[x], gain, white_read, step)
+            own = _of_mean(shot, of_shot[x], _model(signal, gain, read, step))
+            if once and y > start:
+                of_lit, below, beside = shares[0, x], shares[1, x], shares[2, x]
+            else:
+                of_lit = _of_mean(white, of_white[x], _model(light, gain, white_read, step))
+                below = _of_mean(dark, of_dark[x], dim)
+                beside = _of_mean(other, of_other[x], white_dim)
+                shares[0, x], shares[1, x], shares[2, x] = of_lit, below, beside
             total = own + below + r * r * (of_lit + beside)
             total -= 2.0 * r * common * np.sqrt(below * beside)
             variance[y, x] = total * (factor[x] / light) ** 2 if light > 0.0 else np.nan
@@ -357,18 +366,22 @@ def _row(array, y):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _of_mean(side, signal, measured, gain, read, step):  # type: ignore[no-untyped-def]
-    """Return the variance of a side's mean, from a stack, the model, or both.
+def _model(signal, gain, read, step):  # type: ignore[no-untyped-def]
+    """Return the variance of one shot, and what of it rounding does to all shots alike; −1 without a model."""
+    if gain < 0.0:
+        return -1.0, 0.0
+    model = read + gain * max(signal, 0.0)
+    return model, hidden_rounding(model - step * step / 12.0, step)
 
-    What rounding does to all shots alike is left whole. A variance that was worked out is taken as it is.
-    """
-    share, freedom = side.share, side.freedom
+
+@njit
+def _of_mean(side, measured, expected):  # type: ignore[no-untyped-def]
+    """Return the variance of a side's mean, from a stack, the model, or both; one that was worked out is taken as it is."""
+    (model, alike), share, freedom = expected, side.share, side.freedom
     if freedom >= WORKED_OUT:
         return share * measured
-    if gain < 0.0:
+    if model < 0.0:
         return share * measured if freedom > 0.0 else 0.0
     if share == 0.0:
         return 0.0
-    model = read + gain * max(signal, 0.0)
-    alike = hidden_rounding(model - step * step / 12.0, step)
     return share * (freedom * measured + PRIOR * (model - alike)) / (freedom + PRIOR) + alike
