@@ -52,13 +52,9 @@ def write_native(
     centroids: Mapping[str, float],
     folder: Path | None = None,
 ) -> list[Path]:
-    """Write the pixels of every part, named by its sensor, their flags and, where known, their sigma; return the files.
-
-    They go into the database unless another `folder` is given.
-    """
-    where = capture.object, capture.camera, capture.setup
+    """Write pixels, flags and, where known, sigma of every part, named by its sensor, into the database or another `folder`; return the files."""
+    where, made = (capture.object, capture.camera, capture.setup), []
     layer = Layer(*where, credits=credits, centroids=centroids)
-    made = []
     for sensor, rows in parts:
         least = least_bytes(prod(rows.shape), rows.quantity, noisy=rows.has_sigma)
         require_space(places.output, least)
@@ -127,15 +123,11 @@ def require_memory(capture: Capture, kind: str) -> None:
 
 def count_values(capture: Capture, kind: str) -> int:
     """Return how many values, all bands, the largest sensor of a capture has; of a scan, all strips."""
-    counts = [0]
+    traits, counts = KINDS[kind], [0]
     for sensor in capture.sensors:
         sizes = [_samples_in(frame.path) for frame in sensor.object]
-        if KINDS[kind].is_scanned:
-            counts.append(sum(sizes))
-        elif KINDS[kind].bands_in == "files":
-            counts.append(max(sizes, default=0) * len(sensor.bands))
-        else:
-            counts.append(max(sizes, default=0))
+        bands = len(sensor.bands) if traits.bands_in == "files" else 1
+        counts.append(sum(sizes) if traits.is_scanned else max(sizes, default=0) * bands)
     return max(counts)
 
 

@@ -73,9 +73,8 @@ class Part:
         whole = replace(cube, sigma=None)
 
         def read(start: int, stop: int, noisy: bool) -> Cube:
-            part = np.s_[start:stop]
             found = sigma.rows(start, stop) if sigma is not None and noisy else None
-            return replace(whole, values=whole.values[part], flags=whole.flags[part], sigma=found)
+            return replace(_part(whole, np.s_[start:stop]), sigma=found)
 
         known = cube.sigma is not None
         return cls(sensor, cube.bands, cube.shape, cube.quantity, known, read, name, mosaic)
@@ -87,6 +86,13 @@ class Part:
     def whole(self, *, noisy: bool = True) -> Cube:
         """Return all rows."""
         return self.read(0, self.shape[0], noisy)
+
+    def by_blocks(self) -> CubeRows:
+        """Return all rows, some at a time."""
+        height, width, bands = self.shape
+        step = tile_rows(max(1, BUFFER_BYTES // (4 * SAMPLE_BYTES * width * bands)), height)
+        blocks = (self.rows(y, min(y + step, height)) for y in range(0, height, step))
+        return CubeRows(blocks, self.shape, self.bands, self.quantity, self.has_sigma)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -219,9 +225,7 @@ class CalibratedCapture:
         parts = self.by_sensor[name]
         if self.placement is None:
             (part,) = parts
-            if part.is_held:
-                return part.whole()
-            return CubeRows(_taken(part), part.shape, part.bands, part.quantity, part.has_sigma)
+            return part.whole() if part.is_held else part.by_blocks()
         maps = dict.fromkeys([band.label for band in parts[0].bands], Affine.identity())
         size = self.placement.size
         return on_grid(replace(self, parts=parts), maps, size).cube()
@@ -244,37 +248,28 @@ class CalibratedCapture:
         self, onto: Transform, size: tuple[int, int], labels: Sequence[str] | None = None
     ) -> list[BandImage]:
         """Return bands, by default all, on a grid of `onto`, its px → native px, and (width, height) `size`."""
-        bands = [band for band in self.bands if labels is None or band.label in labels]
-        numbers = [self.bands.index(band) for band in bands]
-        values = np.full((len(bands), size[1], size[0]), np.nan, np.float32)
-        valid = np.zeros(values.shape, bool)
-        row = 0
+        numbers = [n for n, b in enumerate(self.bands) if labels is None or b.label in labels]
+        values = np.full((len(numbers), size[1], size[0]), np.nan, np.float32)
+        valid, row = np.zeros(values.shape, bool), 0
         maps = dict.fromkeys([band.label for band in self.bands], onto)
         for cube in on_grid(self, maps, size, noisy=False).cube().blocks:
             rows = slice(row, row + len(cube.values))
             row = rows.stop
             for place, number in enumerate(numbers):
-                plane, flags = cube.values[..., number], cube.flags[..., number]
-                values[place, rows] = plane
-                valid[place, rows] = np.isfinite(plane) & ~is_flagged(flags, UNRELIABLE)
-        counts = self.quantity == "counts"
+                values[place, rows] = cube.values[..., number]
+                valid[place, rows] = _reliable(cube, number)
+        shown = share_of_most if self.quantity == "counts" else np.asarray
+        bands = [self.bands[number] for number in numbers]
         return [
-            BandImage(
-                band.label,
-                band.wavelength,
-                share_of_most(picture) if counts else picture,
-                known & (not band.bad),
-            )
+            BandImage(band.label, band.wavelength, shown(picture), known)
             for band, picture, known in zip(bands, values, valid, strict=True)
         ]
 
 
-def _taken(part: Part) -> Iterator[Cube]:
-    """Yield all rows of a part that is not held, some at a time."""
-    height, width, bands = part.shape
-    step = tile_rows(max(1, BUFFER_BYTES // (4 * SAMPLE_BYTES * width * bands)), height)
-    for start in range(0, height, step):
-        yield part.rows(start, min(start + step, height))
+def _reliable(cube: Cube, number: int) -> np.ndarray:
+    """Return where a band of a cube can be relied on, (height, width): nowhere in a bad one."""
+    sound = ~is_flagged(cube.flags[..., number], UNRELIABLE) & (not cube.bands[number].bad)
+    return np.asarray(np.isfinite(cube.values[..., number]) & sound)
 
 
 def gathered(rows: Cube | CubeRows) -> Cube:
@@ -309,19 +304,15 @@ def median_focus(found: Sequence[Sequence[Mapping[str, Any]]]) -> list[dict[str,
 
 
 def _pictures(part: Part) -> Iterator[BandImage]:
-    """Yield the bands of a part and where they can be relied on: nowhere in a bad one."""
-    cube = part.whole(noisy=False)
-    planes = np.moveaxis(cube.values, 2, 0), np.moveaxis(cube.flags, 2, 0)
-    for channel, (band, values, flags) in enumerate(zip(cube.bands, *planes, strict=True)):
-        known = np.isfinite(values) & ~is_flagged(flags, UNRELIABLE)
-        if band.bad:
-            known[:] = False
-        sites = None
-        if part.mosaic is not None:
-            table = channel_table(part.mosaic.pattern, part.mosaic.channels)
-            sites = Sites.in_pattern(table, channel)
-        shown = share_of_most(values) if cube.quantity == "counts" else values
-        yield BandImage(band.label, band.wavelength, shown, known, part.sensor, sites)
+    """Yield the bands of a part."""
+    cube, table = part.whole(noisy=False), None
+    if part.mosaic is not None:
+        table = channel_table(part.mosaic.pattern, part.mosaic.channels)
+    shown = share_of_most if cube.quantity == "counts" else np.asarray
+    for number, band in enumerate(cube.bands):
+        sites = None if table is None else Sites.in_pattern(table, number)
+        values, known = shown(cube.values[..., number]), _reliable(cube, number)
+        yield BandImage(band.label, band.wavelength, values, known, part.sensor, sites)
 
 
 # --- on a grid ------------------------------------------------------------------------------------
@@ -521,7 +512,7 @@ class GridRows:
         rows: Iterator[Cube] = (self.rows(*block) for block in blocks)
         shape = (height, width)
         if self._turned_in is not None:
-            rows, shape = _turned(rows, height, width, self._turned_in), (width, height)
+            rows, shape = _turned(rows, width, self._turned_in), (width, height)
         size = (*shape, len(native.bands))
         return CubeRows(rows, size, native.bands, native.quantity, self.has_sigma)
 
@@ -617,8 +608,8 @@ def _beside(arrays: Sequence[np.ndarray]) -> np.ndarray:
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=2)
 
 
-def _turned(columns: Iterator[Cube], width: int, height: int, spool: Path) -> Iterator[Cube]:
-    """Put columns on the disk in pieces, and yield rows; `width` is the number of all columns."""
+def _turned(columns: Iterator[Cube], height: int, spool: Path) -> Iterator[Cube]:
+    """Put columns, `height` px long, on the disk in pieces, and yield rows."""
     step = tile_rows(TURNED_ROWS, height)
     tops = range(0, height, step)
     with spooling(spool, "turned.spool") as handle:
@@ -630,18 +621,17 @@ def _turned(columns: Iterator[Cube], width: int, height: int, spool: Path) -> It
                 for array in _arrays(block):
                     part = array[:, top : top + step].transpose(1, 0, 2)
                     handle.write(np.ascontiguousarray(part).data)
-            like = np.s_[:, :0]
-            empty = replace(
-                block,
-                values=block.values[like],
-                flags=block.flags[like],
-                sigma=None if block.sigma is None else block.sigma[like],
-            )
-            pieces.append((empty, starts))
+            pieces.append((_part(block, np.s_[:, :0]), starts))
             del block
         for number, top in enumerate(tops):
             rows = min(step, height - top)
             yield stacked([_read_piece(handle, one, at[number], rows) for one, at in pieces], 1)
+
+
+def _part(cube: Cube, part: Any) -> Cube:
+    """Return a part of a cube, in its memory."""
+    sigma = None if cube.sigma is None else cube.sigma[part]
+    return replace(cube, values=cube.values[part], flags=cube.flags[part], sigma=sigma)
 
 
 def _arrays(cube: Cube) -> list[np.ndarray]:

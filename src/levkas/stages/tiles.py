@@ -107,25 +107,24 @@ def left_out(reason: str, size: tuple[int, int]) -> FoundTile:
 
 def verdict_of(found: Mapping[str, FoundTile]) -> Verdict:
     """Return the verdict of a layer: refused where no tile is placed, doubtful where some are left out or doubtful."""
-    placed = [name for name, one in found.items() if one.is_placed]
     lost = {name: one for name, one in found.items() if not one.is_placed}
-    doubtful = {
-        n: one
-        for n, one in found.items()
-        if one.is_placed and one.verdict.decision in ("warn", "by hand")
-    }
     reasons = [
         f"Tile {name} is left out, and is a hole in the layer: {' '.join(one.verdict.reasons)}"
         for name, one in lost.items()
     ]
-    reasons += [f"Tile {name}: {' '.join(one.verdict.reasons)}" for name, one in doubtful.items()]
-    numbers = {"tiles": len(found), "placed": len(placed)}
+    reasons += [
+        f"Tile {name}: {' '.join(one.verdict.reasons)}"
+        for name, one in found.items()
+        if name not in lost and one.verdict.decision in ("warn", "by hand")
+    ]
+    placed = len(found) - len(lost)
+    numbers = {"tiles": len(found), "placed": placed}
     if not placed:
         return Verdict("refuse", tuple(reasons), "Correct the frames of the tiles.", numbers)
     if reasons:
         step = "Capture these tiles again, or use the layer without them." if lost else LOOK
         return Verdict("warn", tuple(reasons), step, numbers)
-    return Verdict("accept", (f"All {len(placed)} tiles are placed.",), "", numbers)
+    return Verdict("accept", (f"All {placed} tiles are placed.",), "", numbers)
 
 
 def results_of(
@@ -141,15 +140,9 @@ def results_of(
                 # A start that follows from other tiles is no pair of another program.
                 kept = {key: value for key, value in numbers.items() if key != "start_pairs"}
                 worst[sensor] = kept | {"tile": name}
-    sigma = sigma_of_mosaic(found, size)
-    bands = {
-        band.label: {
-            "size": list(size),
-            "transform": Affine.identity().to_dict(),
-            "sigma": sigma.to_dict(),
-        }
-        for band in native.bands
-    }
+    sigma = sigma_of_mosaic(found, size).to_dict()
+    frame = {"size": list(size), "transform": Affine.identity().to_dict(), "sigma": sigma}
+    bands = {band.label: frame for band in native.bands}
     by_hand = sum(one.pairs_by_hand for one in found.values() if one.is_placed)
     return {
         "method": DEFAULT_METHOD,
