@@ -19,7 +19,6 @@ from levkas.building.hashes import Hashes
 from levkas.building.records_file import NAME, read_rows, write_rows
 from levkas.core.digests import hash_file
 from levkas.core.files import make_folder, move_files, remove, write_bytes, write_text
-from levkas.core.internal_errors import CODE as INTERNAL
 from levkas.core.internal_errors import InternalError
 from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
@@ -275,7 +274,7 @@ class BuildRecords:
         record = self._states(key).get(REFUSED)
         if not record or _difference(record["fingerprint"], fingerprint):
             return ()
-        return tuple(self._with_advice(key, Problem(**problem)) for problem in record["refused"])
+        return tuple(Problem(**problem) for problem in record["refused"])
 
     # --- reports of exceptions that no check foresaw --------------------------------------------
 
@@ -297,14 +296,8 @@ class BuildRecords:
             write_text(path, refused.report)
         except Refused:
             return refused
-        return InternalError(*(self._with_advice(key, problem) for problem in refused.problems))
-
-    def _with_advice(self, key: Key, problem: Problem) -> Problem:
-        path = self.report_of(key)
-        if problem.code != INTERNAL or not path.is_file():
-            return problem
         fix = f"This is an error of the program. Please send its report to the authors: {path}"
-        return replace(problem, fix=fix)
+        return InternalError(*(replace(problem, fix=fix) for problem in refused.problems))
 
     def drop_report(self, key: Key) -> None:
         """Remove the report of an exception of an earlier build, where there is one."""

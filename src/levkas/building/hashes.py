@@ -9,14 +9,14 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from levkas.building.records_file import read_rows, write_rows
 from levkas.core.digests import hash_file, stamp_of
 from levkas.core.disk import WriteRefused
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Sequence
 
     from levkas.building.records_file import Change
 
@@ -41,25 +41,12 @@ def session_folder(root: Path) -> Path:
     return Path(home) / "levkas" / "watch" / name
 
 
-def hashes_of_session(root: Path) -> Path:
-    """Return the file of the hashes of frames that were read while their folder was watched."""
-    return session_folder(root) / HASHES
-
-
 class Hashes:
-    """Hashes of files by their names, those of earlier builds as they were recorded.
+    """Hashes of files by their names, those of earlier builds as they were recorded in the file `path`.
 
     A file that was changed just before it was read may have been changed again within one tick of the clock of its
-    file system: its hash is not recorded before it was read once more.
-
-    Parameters
-    ----------
-    path : Path
-        The file that they are recorded in.
-    verify : bool
-        Read every file anew, whatever is recorded of it.
-    session : Path, optional
-        A file of hashes by others, which count where a file has their stamp still.
+    file system: its hash is not recorded before it was read once more. To `verify`, every file is read anew. A `session` is a
+    file of hashes by others, which count where a file has their stamp still.
     """
 
     def __init__(self, path: Path, *, verify: bool = False, session: Path | None = None) -> None:
@@ -73,16 +60,14 @@ class Hashes:
 
     def __call__(self, path: str | Path, *, own: bool = False) -> str:
         """Return the hash of a file; `own` ones were written whole by Levkas just before."""
-        stamp = stamp_of(path)
-        entry = self.known(path)
+        stamp, entry, safe = stamp_of(path), self.known(path), True
+        if entry is not None and entry[:-1] == stamp:
+            return entry[-1]
+        entry = self._of_others(path)
         if entry is None or entry[:-1] != stamp:
-            entry = self._of_others(path)
-            if entry is not None and entry[:-1] == stamp:
-                self._learn(path, entry, old_enough=True)
-                return entry[-1]
-            old_enough = own or is_old_enough(stamp, time.time_ns())
+            safe = own or is_old_enough(stamp, time.time_ns())
             entry = (*stamp, hash_file(path))
-            self._learn(path, entry, old_enough=old_enough)
+        self._learn(path, entry, old_enough=safe)
         return entry[-1]
 
     def of_frame(self, path: Path) -> dict[Path, str]:
@@ -100,14 +85,13 @@ class Hashes:
     def _known(self) -> dict[bytes, Entry]:
         with self._lock:
             if self._entries is None:
-                self._entries = dict(_sound_entries(read_rows(self.path, KNOWN)))
+                self._entries = _read_entries(self.path)
             return self._entries
 
     def _of_others(self, path: str | Path) -> Entry | None:
         with self._lock:
             if self._others is None:
-                rows = read_rows(self._session, KNOWN) if self._session is not None else []
-                self._others = dict(_sound_entries(rows))
+                self._others = _read_entries(self._session) if self._session else {}
             return self._others.get(os.fsencode(path))
 
     def _learn(self, path: str | Path, entry: Entry, *, old_enough: bool) -> None:
@@ -139,13 +123,15 @@ class Hashes:
                 write_rows(self.path, self.unsaved())
 
 
-def _sound_entries(rows: Iterable[Sequence[Any]]) -> Iterator[tuple[bytes, Entry]]:
-    """Yield name and entry of the rows that are not damaged; other files are read again."""
-    for name, *stamp, sha256 in rows:
+def _read_entries(path: Path) -> dict[bytes, Entry]:
+    """Return the entries of a file by name but for damaged rows, whose files are read again."""
+    found: dict[bytes, Entry] = {}
+    for name, *stamp, sha256 in read_rows(path, KNOWN):
         with suppress(TypeError, ValueError):
             size, modified, changed, inode = map(int, stamp)
             if re.fullmatch("[0-9a-f]{64}", sha256):
-                yield name, (size, modified, changed, inode, sha256)
+                found[name] = (size, modified, changed, inode, sha256)
+    return found
 
 
 def is_old_enough(stamp: Sequence[int], now: int) -> bool:

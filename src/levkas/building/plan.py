@@ -37,9 +37,8 @@ class Plan:
     @property
     def names(self) -> list[str]:
         """Every object, also those of which nothing can be built."""
-        return list(
-            dict.fromkeys([c.object for c in self.captures] + [key[0] for key in self.refusals])
-        )
+        found = (*(c.object for c in self.captures), *(key[0] for key in self.refusals))
+        return list(dict.fromkeys(found))
 
     def lost(self) -> dict[str, list[Step]]:
         """Return how the captures end that are not in the graph, by object."""
@@ -78,17 +77,9 @@ class Plan:
     def of(self, objects: Sequence[str]) -> Plan:
         """Return the plan of some objects; raises CampaignInvalid where there is none of a name."""
         if missing := [name for name in objects if name not in self.names]:
-            raise CampaignInvalid(
-                Problem(
-                    "E_VALUE",
-                    "unknown object",
-                    str(self.campaign.path),
-                    "--object",
-                    ", ".join(missing),
-                    ", ".join(sorted(self.names)),
-                    closest_match(missing[0], self.names),
-                )
-            )
+            where = str(self.campaign.path), "--object", ", ".join(missing)
+            known = ", ".join(sorted(self.names)), closest_match(missing[0], self.names)
+            raise CampaignInvalid(Problem("E_VALUE", "unknown object", *where, *known))
         captures = [c for c in self.captures if c.object in objects]
         refusals = {key: r for key, r in self.refusals.items() if key[0] in objects}
         wanted = (key for key in self.graph if key.object in objects)
@@ -115,20 +106,13 @@ def plan_of(campaign: Campaign) -> Plan:
 
 def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals) -> None:
     """Refuse corrections by hand of what the campaign does not have; what is refused is had."""
-    lost = [Capture(name, camera, setup, ()) for name, camera, setup in refusals]
-    lost_frames = {(c.object, c.layer) for c in lost}
-    frames = {
-        (name, frame): edits
-        for (name, frame), edits in campaign.edits.frames.items()
-        if (name, re.split("[:#]", frame)[0]) not in lost_frames
-    }
-    lost_objects = {capture.object for capture in lost}
-    outlines = {n: o for n, o in campaign.edits.outlines.items() if n not in lost_objects}
-    confirmed = {k: word for k, word in campaign.edits.confirmed.items() if k not in lost_frames}
-    if frames or outlines or confirmed:
-        check_edits(
-            Edits(frames, outlines, confirmed),
-            captures,
-            campaign.root / FILE_NAME,
-            campaign.reference.camera,
-        )
+    lost = {(c.object, c.layer) for c in (Capture(*key, ()) for key in refusals)}
+    names, edits = {name for name, _ in lost}, campaign.edits
+    left = Edits(
+        {k: e for k, e in edits.frames.items() if (k[0], re.split("[:#]", k[1])[0]) not in lost},
+        {name: corners for name, corners in edits.outlines.items() if name not in names},
+        {key: word for key, word in edits.confirmed.items() if key not in lost},
+    )
+    if left != Edits():
+        file = campaign.root / FILE_NAME
+        check_edits(left, captures, file, campaign.reference.camera)

@@ -12,7 +12,7 @@ from levkas.building.camera_pages import prints_of_charts, prints_of_page
 from levkas.building.catalogue import setups_of, spectra_of, write_catalogue_of
 from levkas.building.claiming import check_apart, claim, places_of
 from levkas.building.graph import BuildReport, Graph, Step, Task, page_key, summarise
-from levkas.building.hashes import hashes_of_session
+from levkas.building.hashes import HASHES, session_folder
 from levkas.building.inputs import digest, of_report, written
 from levkas.building.outcomes import (
     REMOVED,
@@ -49,27 +49,16 @@ def build(
     alone: bool = False,
     again: bool = True,
 ) -> Iterator[Step]:
-    """Build the database of a campaign, yielding each stage as it begins and as it ends.
+    """Build the database of a campaign, given by its folder or campaign.toml; yield each stage as it begins and as it ends.
 
-    Parameters
-    ----------
-    path : path
-        A campaign's folder or its campaign.toml.
-    output : path, optional
-        The database, instead of the campaign's own `output`.
-    objects : list of str, optional
-        Only these objects.
-    verify : bool
-        Read every file anew, whatever its size, times and inode say.
-    alone : bool
-        Only what the objects do not share: no page of a camera, no page that reads one, no catalogue and manifest.
-    again : bool
-        Try once more what was refused when it was made of the same.
+    It goes to `output` instead of the campaign's own. A refused capture ends its own stages; the other cameras and objects are
+    built. To `verify`, every file is read anew, whatever its size, times and inode say. `alone`: only what the objects do not share,
+    no page of a camera, no page that reads one, no catalogue and manifest. Not `again`: what was refused when it was made of the
+    same is not tried once more.
 
     Yields
     ------
     step : Step
-        A refused capture ends its own stages; the other cameras and objects are built.
 
     Raises
     ------
@@ -94,7 +83,7 @@ def build(
     for folder in (places.output, places.kept):
         sweep(folder)
     sweep_corrections(campaign.root)
-    session = hashes_of_session(campaign.root)
+    session = session_folder(campaign.root) / HASHES
     records = BuildRecords(places.kept, places.output, verify=verify, session=session)
     one = _Build(plan, places, records, whole.names, objects, again=again)
     yield from one.numbered(one.steps(alone=alone))
@@ -116,7 +105,6 @@ def status(
     Returns
     -------
     report : BuildReport
-        `stages`: a `Step` each with `state` and `why`; `text`: a line a stage that is not fresh.
 
     Raises
     ------
