@@ -20,6 +20,7 @@ from levkas.calibration.templates import DarkFit, Template
 MANY_ZEROS = 0.005  # of the pixels: fewer bias the mean of a dark by less than 0.002 of its noise
 FAR = 4.0  # spreads from 0 to the median: zeros below are dead sensels', not the noise's
 NODES = 17  # of Gauss and Hermite
+ENDS = 2.0  # probit up to which, or from that of zeros on, a dark is normal: above it warm sensels tell
 FEWEST = 30  # pixels at codes 2 to 4, without which spread and black cannot be separated
 MOST_PIXELS = 1_000_000  # of a dark that are looked at
 MOST_BANDS = 16  # of a cube, each with a black of its own; of more the sensels' own levels give it
@@ -97,6 +98,7 @@ def fit_clipped_dark(frames: Sequence[np.ndarray], *, step: float = 1.0) -> Dark
     count = float(counts[-1])
     shares = counts / count
     known = (shares * count > FEWEST) & ((1 - shares) * count > FEWEST)
+    known &= ndtri(shares) < max(ENDS, float(ndtri(shares[0])) + ENDS)
     at, probit = np.flatnonzero(known) + 0.5, ndtri(shares[known])
     # Of a probit z the variance is p (1 − p) / (n φ²); neighbours have most of their errors in common.
     weight = np.exp(-(probit**2) / 2) / np.sqrt(shares[known] * (1 - shares[known]))
