@@ -162,18 +162,6 @@ def test_regions_know_their_budget_and_what_is_not_in_it(world):
         read(world).levkas.uncertainty(rectangle=REGION, bands=["no band"])
 
 
-def test_the_dataset_of_a_layer_has_the_budget_as_obsarray_reads_it(world):
-    made = levkas.open(world.database)["panel"].dataset("filters")
-    assert made["values"].attrs["unc_comps"][0] == "sigma"
-    lamp = made["u_lamp_between_white_and_object"]
-    assert lamp.dims == ("band",) and lamp.attrs["units"] == "%"
-    rows = rows_of(world)["lamp between white and object"]["size"]
-    assert lamp.values == pytest.approx([100 * rows[str(b)] for b in made.band.values])
-    forms = {lamp.attrs[f"err_corr_{n}_dim"]: lamp.attrs[f"err_corr_{n}_form"] for n in (1, 2, 3)}
-    assert forms == {"y": "systematic", "x": "systematic", "band": "random"}
-    assert "u_photons_and_read_noise" not in made
-
-
 def test_what_is_declared_makes_pages_stale_and_no_pixels(world, tmp_path):
     own = world.copy(tmp_path / "c")
     text("[targets]", UNCERTAINTY.replace("cam.", "filters.") + ANGLE + "[targets]")(own.folder)
@@ -195,13 +183,9 @@ def test_a_budget_of_another_version_is_refused_and_one_that_is_gone_is_not_know
             if step["stage"] == "calibrate" and "uncertainty" in step:
                 older(step)
         path.write_text(json.dumps(record))
-        for reads in (
-            lambda: read(own).levkas.uncertainty(rectangle=REGION),
-            lambda: levkas.open(own.database)["panel"].dataset("filters"),
-        ):
-            with pytest.raises(Refused) as refused:
-                reads()
-            assert refused.value.problems[0].file == str(path)
+        with pytest.raises(Refused) as refused:
+            read(own).levkas.uncertainty(rectangle=REGION)
+        assert refused.value.problems[0].file == str(path)
     path.unlink()
     assert len(read(own).levkas.uncertainty(rectangle=REGION).attrs["not_known"]) == 1
 

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from levkas.core.problems import Refused
-from levkas.database.splits import MIDDLES, split_objects
 from levkas.publish.citation import check_datacite, cite, describe_datacite, format_cff
 from levkas.publish.metadata import Person, PublicationFacts, facts_of
+from levkas.publish.publication import MIDDLES, split_objects
 from levkas.publish.readme import plain
 from levkas.publish.run import check
 

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path, PurePath
 
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import unusable_name, what_stands_at
-
-_ODD = re.compile(r"^/|[\\:\0]")
-"""In names that may lead elsewhere, on some system."""
 
 
 class LinkRefused(Refused):
@@ -35,8 +31,6 @@ def stays_inside(name: str) -> bool:
     >>> [stays_inside(n) for n in ("objects/icon1/a.tif", "../a", "/a", "a/../..", "")]
     [True, False, False, False, False]
     """
-    if ".." not in name and not _ODD.search(name):
-        return bool(name)
     path = PurePath(name)
     return bool(name) and not path.anchor and ".." not in path.parts and "\0" not in name
 
@@ -51,10 +45,9 @@ def check_plain_names(*names: str) -> None:
 
 
 def find_escapes(root: Path, names: Iterable[str]) -> Iterator[Problem]:
-    """Yield a problem for every one of some files and links, as `list_files` has them, that cannot be read as a file of its own database.
+    """Yield a problem for each of some files and links that cannot be read as a file of its own database.
 
-    ``E_LINK`` for a link that leads out, ``E_UNREADABLE`` for a pipe, a socket or a device; a link to nothing is missing, which
-    is reported elsewhere.
+    ``E_LINK`` for a link that leads out, ``E_UNREADABLE`` for a pipe, a socket or a device; one to nothing is reported as missing.
     """
     if not isinstance(root, Path):  # on a server, where there are no links
         return

@@ -115,16 +115,15 @@ def _damaged(path: Path, why: str) -> Manifest:
 
 
 def list_files(folder: Path) -> list[str]:
-    """Return the files below `folder`, relative with ``/``, sorted by code point; links to folders too.
-
-    What file browsers and viewers leave behind (`core.files.DROPPINGS`) is left out. A folder deeper than `DEEPEST` is listed like a file.
-    One on a server is listed by its manifest.
-    """
+    """Return what `walk_files` finds, sorted by code point; of a folder on a server, what its manifest lists."""
     return sorted(walk_files(folder) if isinstance(folder, Path) else folder.names())
 
 
 def walk_files(root: Path) -> Iterator[str]:
-    """Yield the files below a folder as `list_files` has them, in no order."""
+    """Yield the files below a folder, relative with ``/``, in no order; links to folders, and folders deeper than `DEEPEST`, too.
+
+    What file browsers and viewers leave behind (`core.files.DROPPINGS`) is left out.
+    """
     # Thousands of names where all is fresh: texts, not paths.
     for place, folders, names in os.walk(root):
         above = place[len(str(root)) :].replace(os.sep, "/").strip("/")

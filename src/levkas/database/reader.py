@@ -101,17 +101,13 @@ class Object(Mapping[Any, xarray.DataArray]):
         """Return a layer as one `xarray.Dataset`, lazily: ``values``, ``flags`` and, where it is known, ``sigma``.
 
         Attributes are those of the CF conventions; where the sampling is known, ``x_mm`` and ``y_mm`` are places on the object in the
-        coordinate system that the grid mapping ``grid`` describes; ``u_SOURCE`` (band) are the rows of its uncertainty budget that are known, with
-        their correlation as obsarray's conventions have it, and ``unc_comps`` of the values names them.
+        coordinate system that the grid mapping ``grid`` describes.
         """
-        from levkas.database.region_uncertainty import budget_variables, read_budget
-
         values = self[camera, setup]
         parts = {"values": values, "flags": values.levkas.flags, "sigma": values.levkas.sigma}
         known = {name: part for name, part in parts.items() if part is not None}
-        rows = budget_variables(read_budget(self.path, self._layer((camera, setup))), values.band)
         facts = {"Conventions": "CF-1.11", "title": f"{self.name}, {values.name}"}
-        made = xarray.Dataset({**known, **rows}, attrs=facts)
+        made = xarray.Dataset(known, attrs=facts)
         if scale := values.attrs.get("px_per_mm"):
             about = {"units": "mm", "long_name": "place on the object"}
             columns = {f"{axis}_mm": (axis, made[axis].values / scale, about) for axis in "xy"}
@@ -119,8 +115,6 @@ class Object(Mapping[Any, xarray.DataArray]):
             made["grid"] = ((), 0, {"crs_wkt": OBJECT_CRS})
             for name in known:
                 made[name].attrs["grid_mapping"] = "grid: x_mm y_mm"
-        if components := [*(["sigma"] if "sigma" in known else []), *rows]:
-            made["values"].attrs["unc_comps"] = components
         return made
 
     def position_sigma(

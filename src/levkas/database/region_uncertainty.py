@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -39,7 +39,6 @@ OTHER_BUDGET = (
 )
 NONE = np.ones((1, 1))
 """Correlation of noise that no neighbours share."""
-UNITS = {"relative": "%", "reflectance": "1", "sigma": "1", "counts": "count"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,48 +96,6 @@ def mean_correlation(several: Sequence[np.ndarray]) -> np.ndarray:
     reach = max(len(one) // 2 for one in several)
     wide = [np.pad(one, reach - len(one) // 2) for one in several]
     return np.asarray(np.mean(wide, axis=0))
-
-
-def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, xarray.DataArray]:
-    """Return the known rows of a budget as arrays over `band`, named and described after obsarray's conventions.
-
-    ``err_corr_N_form`` says of each dimension whether one draw of the error holds along it ("systematic") or each place has its
-    own ("random"). Rows of single pixels are what sigma is made of, and are left out.
-    """
-    import xarray
-
-    found: dict[str, xarray.DataArray] = {}
-    labels = [str(label) for label in np.atleast_1d(band.values)]
-    for row in budget.sources:
-        if not row.size or row.common_to == "pixel":
-            continue
-        what = (
-            "part of sigma, common to a region," if row.unit == "sigma" else "standard uncertainty"
-        )
-        attributes: dict[str, Any] = {
-            "long_name": f"{what} by {row.name}",
-            "units": UNITS.get(row.unit, row.unit),
-            "pdf_shape": "gaussian",
-            "common_to": row.common_to,
-            "basis": row.basis,
-        }
-        forms = {"y": row.common_to == "line", "x": False, "band": not row.all_bands}
-        for n, (dim, random) in enumerate(forms.items(), 1):
-            form = "random" if random else "systematic"
-            attributes |= {f"err_corr_{n}_dim": dim, f"err_corr_{n}_form": form}
-            attributes |= {f"err_corr_{n}_params": [], f"err_corr_{n}_units": []}
-        if row.zero_at:
-            attributes["zero_at"] = [row.zero_at.get(label, np.nan) for label in labels]
-        name = "u_" + row.name.replace(" ", "_")
-        if name in found:  # a second part of the same source, in another unit
-            name += f"_{row.unit}"
-        several = name
-        while name in found:  # draws of their own
-            name = f"{several}_{sum(other.startswith(several) for other in found) + 1}"
-        scale = 100 if row.unit == "relative" else 1
-        sizes = scale * np.array([row.size.get(label, np.nan) for label in labels])
-        found[name] = xarray.DataArray(sizes, {"band": band}, ("band",), attrs=attributes)
-    return found
 
 
 def position_sigmas(

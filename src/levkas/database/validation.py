@@ -9,11 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from levkas.core.digests import hash_file
-from levkas.core.files import DROPPINGS
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME as CATALOGUE
-from levkas.database.catalogue import DatabaseRefused, database_of, no_database, read_catalogue
+from levkas.database.catalogue import (
+    DatabaseRefused,
+    Entry,
+    database_of,
+    no_database,
+    read_catalogue,
+)
 from levkas.database.containment import find_escapes
 from levkas.database.manifest import NAME, Listed, is_partial, list_files, plain, read_manifest
 from levkas.database.remote import THREADS, RemoteRefused, is_remote
@@ -41,7 +46,7 @@ class Checked:
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """What a validation found: how many files were `checked`, and at most one problem a file; of a damaged manifest that alone."""
+    """How many files were `checked`, and at most one problem a file; of a damaged manifest that alone."""
 
     root: Path
     checked: int
@@ -71,8 +76,6 @@ def validate(
 
     `draw` consumes the steps; the command line draws them. Raises DatabaseRefused where there is no database at all.
 
-    Examples
-    --------
     >>> validate("no/such/folder")
     Traceback (most recent call last):
     levkas.database.catalogue.DatabaseRefused: this folder does not exist...
@@ -84,10 +87,7 @@ def validate(
 
 
 def check_files(database: str | Path, *, threads: int | None = None) -> Iterator[Checked]:
-    """Yield every file as it is checked, then what is missing, too many, or does not agree.
-
-    Raises DatabaseRefused where there is no database at all.
-    """
+    """Yield every file as it is checked, then what is missing, too many, or does not agree; raises as `validate`."""
     root = database_of(database)
     if not any((root / name).is_file() for name in (NAME, CATALOGUE)):
         raise no_database(root, f"a folder with {CATALOGUE} and {NAME}")
@@ -101,13 +101,8 @@ def check_files(database: str | Path, *, threads: int | None = None) -> Iterator
         if problem := escapes.get(str(root / name)):
             yield Checked(name, (problem,), total=len(names))
     names = [name for name in names if str(root / name) not in escapes]
-    listed = {
-        plain(name): file
-        for name, file in manifest.files.items()
-        # An older build listed what viewers left.
-        if str(root / name) not in escapes and not DROPPINGS.fullmatch(name.split("/")[-1])
-    }
-    yield from _by_hash(root, listed, names, threads)
+    within = (file for name, file in manifest.files.items() if str(root / name) not in escapes)
+    yield from _by_hash(root, {plain(file.name): file for file in within}, names, threads)
 
 
 def _by_hash(
@@ -131,10 +126,10 @@ def _by_hash(
     for key in damaged:
         problem = _damage_of(root, there[key], listed[key], found[key], listed)
         yield Checked(there[key], (problem,), total, total)
+    places = {digest: there[key] for key, digest in reversed(found.items())}
     problems = []
     for file in missing:
-        where = next((there[key] for key in there if found[key] == file.sha256), None)
-        more = {"found": f"its content is at {where}"} if where else {}
+        more = {"found": f"its content is at {at}"} if (at := places.get(file.sha256)) else {}
         problems.append(_problem(root, file.name, "E_MISSING", "it is missing", **more))
     problems += [_unlisted(root, name) for key, name in there.items() if key not in listed]
     if not (missing or damaged):
@@ -144,11 +139,11 @@ def _by_hash(
 
 def _check_catalogue(root: Path, listed: Mapping[str, Listed]) -> Iterator[Problem]:
     """Hold the catalogue's own hashes against the manifest's, which were just found to be true."""
+    entries: tuple[Entry, ...] = ()
     try:
         entries = read_catalogue(root) if (root / CATALOGUE).is_file() else ()
     except DatabaseRefused as refused:
         yield from refused.problems
-        return
     for entry in entries:
         name = f"{entry.layer.path}.tif"
         file = listed.get(plain(name))
@@ -156,9 +151,8 @@ def _check_catalogue(root: Path, listed: Mapping[str, Listed]) -> Iterator[Probl
             yield _problem(root, name, "E_MISSING", f"{CATALOGUE} lists it, but it is missing")
         elif file.sha256 != entry.sha256.lower():
             more = {"field": f"sha256 of {name}", "found": entry.sha256, "expected": file.sha256}
-            yield _problem(
-                root, CATALOGUE, "E_DAMAGED", "a hash in it differs from the file", **more
-            )
+            why = "a hash in it differs from the file"
+            yield _problem(root, CATALOGUE, "E_DAMAGED", why, **more)
 
 
 def _damage_of(
@@ -182,7 +176,6 @@ def _damage_of(
 
 
 def _unlisted(root: Path, name: str) -> Problem:
-    """Return the problem of a file that the manifest does not have."""
     what, fix = "this file is not in the manifest", "Remove it; only a build adds files here."
     if is_partial(name):
         what, fix = "a file that was never finished", "The next build removes it."
@@ -193,13 +186,10 @@ def _hash(path: Path) -> str:
     """Return the SHA-256 of a file, or why it cannot be read."""
     try:
         return hash_file(path)
-    except OSError as error:
-        return f"cannot be read: {error.strerror or error}"
-    except RemoteRefused as refused:
-        return f"cannot be read: {refused.problems[0].message}"
+    except (OSError, RemoteRefused) as error:
+        return f"cannot be read: {getattr(error, 'strerror', '') or error}"
 
 
 def _problem(root: Path, name: str, code: str, why: str, **more: Any) -> Problem:
-    """Return the problem of one file of a database."""
     fix = "Copy it again, or build the database again."
     return Problem(code, f"{Path(name).name}: {why}", file=str(root / name), fix=fix, **more)

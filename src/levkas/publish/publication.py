@@ -14,12 +14,10 @@ from levkas.core.problems import Problem, Refused, closest_match
 from levkas.core.text import counted, read_json
 from levkas.database.catalogue import NAME as CATALOGUE
 from levkas.database.manifest import NAME, list_files, plain, read_manifest
-from levkas.database.splits import NAME as SPLITS
-from levkas.database.splits import split_objects
 from levkas.database.store import write_index
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from levkas.core.files import Folder
     from levkas.database.catalogue import Entry
@@ -30,6 +28,10 @@ if TYPE_CHECKING:
 
 PROVENANCE = "provenance.json"
 """Beside the layers of an object: every step of their making, with the hashes of raw files."""
+
+SPLITS = "splits.csv"
+MIDDLES = {"train": 0.3, "validation": 0.7, "test": 0.9}
+"""Of the spans of 60, 20 and 20 % that objects are assigned by."""
 
 LOCAL = "http://localhost:8000/"
 """Where ``python -m http.server`` in the publication's folder gives it."""
@@ -141,6 +143,28 @@ def write_content(publication: Publication) -> Iterator[str]:
     names = dict.fromkeys(entry.object for entry in publication.entries())
     lines = "".join(f"{name},{split}\n" for name, split in split_objects(names).items())
     publication.write_text(SPLITS, "object,split\n" + lines)
+
+
+def split_objects(names: Iterable[str]) -> dict[str, str]:
+    """Assign objects to splits by the SHA-256 of their names, so that each stays where it is when others come; sorted by name.
+
+    From three objects on, an empty split takes the object that lies nearest to it from the largest one.
+
+    >>> split_objects(["icon1", "icon2", "icon3", "icon4", "icon5", "icon6"])["icon1"]
+    'test'
+    """
+    digests = {name: hashlib.sha256(name.encode()).digest() for name in sorted(names)}
+    places = {name: int.from_bytes(one[:6], "big") / 2**48 for name, one in digests.items()}
+    splits = {
+        name: "train" if place < 0.6 else "validation" if place < 0.8 else "test"
+        for name, place in places.items()
+    }
+    empty = [split for split in MIDDLES if split not in splits.values()]
+    for wanted in empty if len(places) >= len(MIDDLES) else ():
+        largest = max(MIDDLES, key=list(splits.values()).count)
+        mine = [name for name, split in splits.items() if split == largest]
+        splits[min(mine, key=lambda n: (abs(places[n] - MIDDLES[wanted]), n))] = wanted
+    return splits
 
 
 def layers_without(database: Path, without: Sequence[str]) -> tuple[LayerId, ...]:
