@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count, groupby
@@ -18,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 from levkas.building.hashes import Hashes
 from levkas.building.records_file import NAME, read_rows, write_rows
 from levkas.core.digests import hash_file
-from levkas.core.files import make_folder, move_files, remove, write_bytes, write_text
+from levkas.core.disk import refusing
+from levkas.core.files import make_folder, remove, write_bytes, write_text
 from levkas.core.internal_errors import InternalError
 from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
@@ -319,7 +321,13 @@ class BuildRecords:
             beside = self.output.with_name(self.output.name + ".removed")
             numbers = (str(n) for n in count(1))
             self._put_away = next(beside / n for n in numbers if not (beside / n).exists())
-        move_files(there, self.output, self._put_away)
+        for name in there:
+            source, target = self.output / name, self._put_away / name
+            make_folder(target.parent)
+            with refusing(target, None), suppress(FileNotFoundError):
+                source.replace(target)
+            with suppress(OSError):  # other files are in it
+                os.removedirs(source.parent)
         return self._put_away
 
 

@@ -72,14 +72,6 @@ def before_writing(check: Callable[[Path], object]) -> Iterator[None]:
         _path_check.reset(token)
 
 
-def _prepare(path: Path, bytes_needed: int | None) -> None:
-    if (check := _path_check.get()) is not None:
-        check(path)
-    make_folder(path.parent)
-    if bytes_needed is not None:
-        require_space(path.parent, bytes_needed, path=path)
-
-
 # --- whole files ------------------------------------------------------------------------------
 
 
@@ -119,23 +111,12 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
     as they are. Either way `path` is what it was and the temporary file is gone.
     """
     path = Path(path)
-    _prepare(path, bytes_needed)
-    # What stands in a folder that is partial itself needs no patience.
-    within = any(PARTIAL.fullmatch(part) for part in path.parent.parts)
-    waiting = None if within else _waiting.get()
-    with _temporary(path, bytes_needed) as (handle, raw):
+    with _making(path, bytes_needed) as one, _opened(one, bytes_needed) as handle:
         yield handle
         with refusing(path, bytes_needed):
             handle.flush()
             fault("fsync", path)
-            os.fsync(raw.fileno())
-            one = _Waiting(path, Path(raw.name), os.dup(raw.fileno()))
-            if waiting is not None:
-                waiting.append(one)
-                return
-            one.close()
-            one.settle()
-    _sync_folder(path.parent)
+            os.fsync(handle.fileno())
 
 
 @contextlib.contextmanager
@@ -143,82 +124,29 @@ def spooling(folder: str | Path, name: str) -> Iterator[io.BufferedRandom]:
     """Open a file for what is needed meanwhile; it bears a partial name and goes with the block; raises as `replacing`."""
     path = Path(folder) / name
     make_folder(path.parent)
-    with _temporary(path, None) as (handle, raw):
-        yield handle
-        raw.discarding = True
+    one = _claim(path)
+    try:
+        with _opened(one, None) as handle:
+            yield handle
+            handle.raw.discarding = True  # type: ignore[attr-defined]
+    finally:
+        one.drop()
+        one.close()
 
 
 @contextlib.contextmanager
-def _temporary(
-    path: Path, bytes_needed: int | None
-) -> Iterator[tuple[io.BufferedRandom, _Watched]]:
-    """Open a partial file; it goes with the block unless that ends well and the file is kept."""
-    raw = _open_partial(path, bytes_needed)
-    handle, partial = io.BufferedRandom(raw, BUFFER_BYTES), Path(raw.name)
-    try:
-        with refusing(path, bytes_needed, only_of=partial):
-            yield handle, raw
-    except BaseException:
-        raw.discarding = True
-        raise
-    finally:
-        if raw.discarding:
-            with contextlib.suppress(OSError):
-                partial.unlink()
-        handle.close()
+def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[Folder]:
+    """Build a folder aside that becomes `path`, in place of what was there, when the block ends well; raises as `replacing`.
 
-
-class _Watched(io.FileIO):
-    """A file that announces its writes and turns their failures into refusals."""
-
-    def __init__(self, descriptor: int, path: Path, final: Path, bytes_needed: int | None) -> None:
-        super().__init__(descriptor, "r+b")
-        self.final, self.bytes_needed, self.discarding = final, bytes_needed, False
-        self.name = str(path)
-
-    def write(self, data: Any) -> int:
-        if self.discarding:
-            return memoryview(data).nbytes
-        with refusing(self.final, self.bytes_needed):
-            fault("write", self.final)
-            return super().write(data)
-
-
-def _open_partial(path: Path, bytes_needed: int | None) -> _Watched:
-    with refusing(path, bytes_needed):
-        if path.is_dir():
-            raise IsADirectoryError(errno.EISDIR, "a folder has this name", str(path))
-        while True:
-            fault("open", path)
-            partial = _partial(path)
-            flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-            descriptor = os.open(partial, flags, 0o666)
-            if _hold(descriptor, partial):
-                return _Watched(descriptor, partial, path, bytes_needed)
-            os.close(descriptor)
-
-
-def _partial(path: Path) -> Path:
-    return path.with_name(f"{_stem(path)}.levkas.partial-{secrets.token_hex(4)}")
-
-
-def _stem(path: Path) -> str:
-    """Return what the partial names of a file begin with."""
-    return os.fsencode(path.name)[:LONGEST_NAME].decode(errors="ignore")
-
-
-def _hold(descriptor: int, path: Path) -> bool:
-    # A sweep may come between the making of a partial file and this lock: then it is made anew.
-    if os.name == "nt":
-        return True
-    take(descriptor)  # a file system without locks has nothing swept either
-    try:
-        return path.stat().st_ino == os.fstat(descriptor).st_ino
-    except FileNotFoundError:
-        return False
-
-
-# --- whole folders ----------------------------------------------------------------------------
+    The old folder is kept until the new one is whole.
+    """
+    path = Path(path)
+    with _making(path, bytes_needed, folder=True) as one:
+        with refusing(path, bytes_needed, only_of=one.partial):
+            yield Folder(one.partial, path)
+        with refusing(path, bytes_needed):
+            fault("sync", path)
+            _sync_file_system(one.descriptor)
 
 
 class Folder:
@@ -259,23 +187,89 @@ class Folder:
                         left = left[handle.write(left) :]
 
 
-@contextlib.contextmanager
-def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[Folder]:
-    """Build a folder aside that becomes `path`, in place of what was there, when the block ends well; raises as `replacing`.
+# --- under a partial name, and then the final one ---------------------------------------------
 
-    The old folder is kept until the new one is whole.
-    """
-    path = Path(path)
-    _prepare(path, bytes_needed)
-    partial, descriptor = _make_partial(path)
-    waiting = _waiting.get()
-    one = _Waiting(path, partial, descriptor, is_folder=True)
+
+@dataclass(frozen=True)
+class _Partial:
+    """A file or a folder that waits for its name; the descriptor holds the lock that keeps `sweep` away."""
+
+    path: Path
+    partial: Path
+    descriptor: int
+
+    def settle(self) -> None:
+        """Take the final name, of whatever stands there; another builder may do so meanwhile: both are whole, the last stays."""
+        path, partial = self.path, self.partial
+        with refusing(path, None):
+            while True:
+                fault("rename", path)
+                try:
+                    partial.replace(path)
+                    return
+                except OSError as error:
+                    folders = (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR)
+                    if error.errno not in folders:
+                        raise
+                aside = partial
+                if not _exchange(partial, path):
+                    aside = _partial(path)
+                    try:
+                        path.rename(aside)
+                        partial.rename(path)
+                    except FileNotFoundError:
+                        continue
+                _sync_folder(
+                    path.parent
+                )  # or a loss of power may undo the exchange, not the removal
+                discard(aside)
+                return
+
+    def drop(self) -> None:
+        if self.partial.is_dir():
+            shutil.rmtree(self.partial, ignore_errors=True)
+        else:
+            with contextlib.suppress(OSError):
+                self.partial.unlink()
+
+    def close(self) -> None:
+        os.close(self.descriptor)
+
+
+def _claim(path: Path, bytes_needed: int | None = None, *, folder: bool = False) -> _Partial:
+    """Make an empty partial file or folder, and lock it."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+    with refusing(path, bytes_needed):
+        if not folder and path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "a folder has this name", str(path))
+        while True:
+            fault("folder" if folder else "open", path)
+            partial = _partial(path)
+            if folder:
+                partial.mkdir()
+            descriptor = os.open(partial, os.O_RDONLY if folder else flags, 0o666)
+            take(descriptor)  # a file system without locks has nothing swept either
+            # A sweep may have come before this lock: then it is made anew.
+            with contextlib.suppress(FileNotFoundError):
+                if partial.stat().st_ino == os.fstat(descriptor).st_ino:
+                    return _Partial(path, partial, descriptor)
+            os.close(descriptor)
+
+
+@contextlib.contextmanager
+def _making(path: Path, bytes_needed: int | None, *, folder: bool = False) -> Iterator[_Partial]:
+    """Make what takes its name when the block ends well, or waits for that of `together`."""
+    if (check := _path_check.get()) is not None:
+        check(path)
+    make_folder(path.parent)
+    if bytes_needed is not None:
+        require_space(path.parent, bytes_needed, path=path)
+    # What stands in a folder that is partial itself needs no patience.
+    within = any(PARTIAL.fullmatch(part) for part in path.parent.parts)
+    waiting = None if within else _waiting.get()
+    one = _claim(path, bytes_needed, folder=folder)
     try:
-        with refusing(path, bytes_needed, only_of=partial):
-            yield Folder(partial, path)
-        with refusing(path, bytes_needed):
-            fault("sync", path)
-            _sync_file_system(descriptor)
+        yield one
         if waiting is not None:
             waiting.append(one)
             return
@@ -289,76 +283,47 @@ def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator
     _sync_folder(path.parent)
 
 
-def _make_partial(path: Path) -> tuple[Path, int]:
-    with refusing(path, None):
-        while True:
-            fault("folder", path)
-            partial = _partial(path)
-            partial.mkdir()
-            descriptor = os.open(partial, os.O_RDONLY)
-            if _hold(descriptor, partial):
-                return partial, descriptor
-            os.close(descriptor)
+class _Watched(io.FileIO):
+    """A file that announces its writes and turns their failures into refusals."""
+
+    def __init__(self, one: _Partial, bytes_needed: int | None) -> None:
+        super().__init__(one.descriptor, "r+b", closefd=False)
+        self.final, self.bytes_needed, self.discarding = one.path, bytes_needed, False
+        self.name = str(one.partial)
+
+    def write(self, data: Any) -> int:
+        if self.discarding:
+            return memoryview(data).nbytes
+        with refusing(self.final, self.bytes_needed):
+            fault("write", self.final)
+            return super().write(data)
 
 
-def _take_place(partial: Path, path: Path) -> None:
-    # Another builder may publish the same folder meanwhile: both are whole, the last one stays.
-    while True:
-        fault("rename", path)
-        try:
-            partial.rename(path)
-            return
-        except OSError as error:
-            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
-                raise
-        if _exchange(partial, path):
-            _sync_folder(path.parent)  # or a loss of power may undo the exchange, not the removal
-            discard(partial)
-            return
-        old = _partial(path)
-        with contextlib.suppress(FileNotFoundError):
-            path.rename(old)
-            partial.rename(path)
-            _sync_folder(path.parent)
-            discard(old)
-            return
+@contextlib.contextmanager
+def _opened(one: _Partial, bytes_needed: int | None) -> Iterator[io.BufferedRandom]:
+    raw = _Watched(one, bytes_needed)
+    handle = io.BufferedRandom(raw, BUFFER_BYTES)
+    try:
+        with refusing(one.path, bytes_needed, only_of=one.partial):
+            yield handle
+    except BaseException:
+        raw.discarding = True
+        raise
+    finally:
+        handle.close()
 
 
-# --- what belongs together --------------------------------------------------------------------
+def _partial(path: Path) -> Path:
+    return path.with_name(f"{_stem(path)}.levkas.partial-{secrets.token_hex(4)}")
 
 
-@dataclass(frozen=True)
-class _Waiting:
-    """What waits for its name, or, without a partial path, for its end; the descriptor holds the lock that keeps `sweep` away."""
-
-    path: Path
-    partial: Path | None = None
-    descriptor: int | None = None
-    is_folder: bool = False
-
-    def settle(self) -> None:
-        with refusing(self.path, None):
-            if self.partial is None:
-                remove(self.path)
-            elif self.is_folder:
-                _take_place(self.partial, self.path)
-            else:
-                fault("rename", self.path)
-                self.partial.replace(self.path)
-
-    def drop(self) -> None:
-        if self.partial is not None and self.is_folder:
-            shutil.rmtree(self.partial, ignore_errors=True)
-        elif self.partial is not None:
-            with contextlib.suppress(OSError):
-                self.partial.unlink()
-
-    def close(self) -> None:
-        if self.descriptor is not None:
-            os.close(self.descriptor)
+def _stem(path: Path) -> str:
+    """Return what the partial names of a file begin with."""
+    return os.fsencode(path.name)[:LONGEST_NAME].decode(errors="ignore")
 
 
-_waiting: ContextVar[list[_Waiting] | None] = ContextVar("waiting", default=None)
+_waiting: ContextVar[list[_Partial | Path] | None] = ContextVar("waiting", default=None)
+"""What `together` waits with; paths are to be removed."""
 
 
 @contextlib.contextmanager
@@ -371,30 +336,30 @@ def together(before: Callable[[], object] | None = None) -> Iterator[None]:
 
     A process that ends while names are taken leaves some of the new and some of the old files.
     """
-    waiting: list[_Waiting] = []
+    waiting: list[_Partial | Path] = []
     token = _waiting.set(waiting)
-    done = 0
     try:
         try:
             yield
         finally:
             _waiting.reset(token)
+            made = [one for one in waiting if isinstance(one, _Partial)]
         if before is not None:
             before()
-        for done, one in enumerate(waiting, 1):  # noqa: B007 -- how far it came
-            one.settle()
-        for folder in sorted({one.path.parent for one in waiting}):
+        for each in waiting:
+            each.settle() if isinstance(each, _Partial) else remove(each)
+        for folder in sorted({one.path.parent for one in made}):
             _sync_folder(folder)
     except BaseException:
-        for one in waiting[max(done - 1, 0) :]:
-            one.drop()
+        for one in made:
+            one.drop()  # nothing, where it has its name
         raise
     finally:
-        for one in waiting:
+        for one in made:
             one.close()
 
 
-# --- folders made, files removed and moved ----------------------------------------------------
+# --- folders made, files removed --------------------------------------------------------------
 
 
 def make_folder(path: str | Path) -> None:
@@ -427,7 +392,7 @@ def remove(path: str | Path) -> None:
     """Take a file or a folder away; nothing happens where there is none."""
     path = Path(path)
     if (waiting := _waiting.get()) is not None:
-        waiting.append(_Waiting(path))
+        waiting.append(path)
         return
     with refusing(path, None):
         if path.is_dir() and not path.is_symlink():
@@ -440,34 +405,6 @@ def remove(path: str | Path) -> None:
         else:
             discard(path)
     _sync_folder(path.parent)
-
-
-def move_files(names: Iterable[str], source: str | Path, target: str | Path) -> list[str]:
-    """Move files from one folder to another on the same disk, and return their names; folders that are empty then go.
-
-    Names are relative to both folders; what is not there is left out. Where the disk refuses, each file is in one of the two.
-    """
-    source, target = Path(source), Path(target)
-    moved = []
-    for name in sorted(names):
-        if not (source / name).is_file():
-            continue
-        make_folder((target / name).parent)
-        with refusing(target / name, None), contextlib.suppress(FileNotFoundError):
-            fault("rename", target / name)
-            (source / name).replace(target / name)
-            moved.append(name)
-    for folder in sorted({(root / name).parent for name in moved for root in (target, source)}):
-        _sync_folder(folder)
-    for folder in {(source / name).parent for name in moved}:
-        while folder != source:
-            fault("remove", folder)
-            try:
-                folder.rmdir()
-            except OSError:  # other files are in it
-                break
-            folder = folder.parent
-    return moved
 
 
 def sweep(folder: str | Path) -> list[Path]:
@@ -492,26 +429,23 @@ def sweep_beside(path: str | Path) -> list[Path]:
 
 def _swept(paths: Iterable[Path]) -> list[Path]:
     removed = []
-    for path in paths:
-        if _is_abandoned(path):
+    for path in (
+        paths if os.name != "nt" else ()
+    ):  # where open files are not locked nothing is swept
+        try:
+            # A pipe of that name keeps none waiting.
+            descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError:
+            continue
+        try:
+            abandoned = take(descriptor) is True
+        finally:
+            os.close(descriptor)
+        if abandoned:
             with refusing(path, None):
                 discard(path)
             removed.append(path)
     return removed
-
-
-def _is_abandoned(path: Path) -> bool:
-    if os.name == "nt":  # nothing is swept where open files are not locked
-        return False
-    try:
-        # A pipe of that name keeps none waiting.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    except OSError:
-        return False
-    try:
-        return take(descriptor) is True
-    finally:
-        os.close(descriptor)
 
 
 # --- calls of the system ----------------------------------------------------------------------

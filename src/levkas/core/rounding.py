@@ -10,10 +10,9 @@ than 16 significant bits, and where sigma is not known, a value has these. Sigma
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
+from levkas.core.compiled import njit
 from levkas.core.machine import tile_rows
 from levkas.core.threads import in_threads
 
@@ -24,8 +23,9 @@ STEP_PER_SIGMA = 0.1
 """Largest step of a value: twice as large adds up to 0.33 % to its variance, half as large 0.02 % for one more bit a value."""
 MOST_STEPS = 1 << 15
 """Beyond so many, steps are finer than 16 significant bits."""
-EXPONENT = np.uint32(0x7F800000)
-BLOCK_SAMPLES = 1 << 14
+INFINITE = np.uint32(0x7F800000)
+"""All bits of the exponent of float32."""
+BLOCK_SAMPLES = 1 << 16
 """Worked on at a time: a cube's worth of temporaries is too much."""
 
 
@@ -45,7 +45,7 @@ def round_values(
     >>> float(round_values(np.float32([0.1]), np.float32([0.01]))[0] * 1024)
     102.0
     """
-    return _by_rows(_round_to_noise, out, values, *([] if sigma is None else [sigma]))
+    return _by_rows(values, out, VALUE_DROP, sigma)
 
 
 def round_sigma(sigma: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
@@ -54,59 +54,73 @@ def round_sigma(sigma: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarr
     >>> round_sigma(np.float32([0.1, np.inf])).tolist()
     [0.10009765625, inf]
     """
-    return _by_rows(lambda part: _round(part, SIGMA_DROP), out, sigma)
+    return _by_rows(sigma, out, SIGMA_DROP)
 
 
 def round_root(variance: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
     """Return `round_sigma` of the root; of a variance below zero it is 0."""
-
-    def rounded(part: np.ndarray) -> np.ndarray:
-        return _round(np.sqrt(np.where(part < 0, np.float32(0), part)), SIGMA_DROP)
-
-    return _by_rows(rounded, out, variance)
+    return _by_rows(variance, out, SIGMA_DROP, root=True)
 
 
 def is_rounded(values: np.ndarray, drop: int) -> bool:
     """Return whether the last `drop` bits of all finite numbers are zero."""
-    step = _rows_of(values)
-    parts = (values[row : row + step] for row in range(0, len(values), step))
-    return all(np.array_equal(_round(part, drop), part, equal_nan=True) for part in parts)
-
-
-def _rows_of(values: np.ndarray) -> int:
-    return tile_rows(max(1, BLOCK_SAMPLES // max(1, values[:1].size)), max(1, len(values)))
+    for row in range(0, len(values), 256):
+        part = np.ascontiguousarray(values[row : row + 256], np.float32)
+        if not np.array_equal(_by_rows(part, None, drop).view(np.uint32), part.view(np.uint32)):
+            return False
+    return True
 
 
 def _by_rows(
-    rounded: Callable[..., np.ndarray], out: np.ndarray | None, *arrays: np.ndarray
+    values: np.ndarray,
+    out: np.ndarray | None,
+    drop: int,
+    sigma: np.ndarray | None = None,
+    *,
+    root: bool = False,
 ) -> np.ndarray:
-    """Write what a function makes of some rows of arrays to `out`, all rows of it."""
-    result = np.empty(arrays[0].shape, np.float32) if out is None else out
-    step = _rows_of(result)
+    """Write the rounded values to `out`, some rows at a time."""
+    result = np.empty(values.shape, np.float32) if out is None else out
+    height = len(result)
+    step = tile_rows(max(1, BLOCK_SAMPLES // max(1, result[:1].size)), max(1, height))
 
     def work(start: int, stop: int) -> None:
         for row in range(start, stop, step):
             rows = slice(row, min(row + step, stop))
-            with np.errstate(all="ignore"):
-                result[rows] = rounded(*(np.ascontiguousarray(a[rows], np.float32) for a in arrays))
+            part = np.array(values[rows], np.float32, order="C")
+            if root:
+                part[part < 0] = 0
+                np.sqrt(part, out=part)
+            if sigma is None:
+                _round(part.reshape(-1), drop)
+            else:
+                noise = np.ascontiguousarray(sigma[rows], np.float32)
+                _round_to_noise(part.reshape(-1), noise.reshape(-1), drop)
+            result[rows] = part
 
-    in_threads(work, len(result), worth=result.size)
+    in_threads(work, height, worth=result.size)
     return result
 
 
-def _round(numbers: np.ndarray, drop: int) -> np.ndarray:
+@njit(cache=True)
+def _round(numbers, drop):  # type: ignore[no-untyped-def]
     # Adding a half in the integers carries into the exponent where it has to.
     half, keep = np.uint32(1 << (drop - 1)), np.uint32(0xFFFFFFFF << drop & 0xFFFFFFFF)
-    bits = np.ascontiguousarray(numbers, np.float32).view(np.uint32)
-    return np.where(np.isfinite(numbers), ((bits + half) & keep).view(np.float32), numbers)
+    bits = numbers.view(np.uint32)
+    for i in range(len(bits)):
+        whole = bits[i]
+        finite = (whole & INFINITE) != INFINITE
+        bits[i] = ((whole + half) & keep) if finite else whole
 
 
-def _round_to_noise(numbers: np.ndarray, sigma: np.ndarray | None = None) -> np.ndarray:
-    plain = _round(numbers, VALUE_DROP)
-    if sigma is None:
-        return plain
-    power = (sigma * np.float32(STEP_PER_SIGMA)).view(np.uint32) & EXPONENT
-    step = power.view(np.float32)  # an exponent alone: a power of two
-    count = numbers / step
-    coarse = (np.abs(count) < MOST_STEPS) & (power != EXPONENT)
-    return np.where(coarse, np.rint(count) * step, plain)
+@njit(cache=True)
+def _round_to_noise(numbers, sigma, drop):  # type: ignore[no-untyped-def]
+    plain = numbers.copy()
+    _round(plain, drop)
+    tenth, most = np.float32(STEP_PER_SIGMA), np.float32(MOST_STEPS)
+    for i in range(len(numbers)):
+        power = np.uint32(np.float32(sigma[i] * tenth).view(np.uint32) & INFINITE)
+        step = power.view(np.float32)  # an exponent alone: a power of two
+        count = np.float32(numbers[i] / step)
+        coarse = abs(count) < most and power != INFINITE
+        numbers[i] = np.float32(np.rint(count) * step) if coarse else plain[i]
