@@ -102,7 +102,7 @@ def test_pictures_that_share_outlines_only_are_registered_and_doubted():
 UNSURE = Evidence(
     basis="windows", kept=20, terms=6, begun="outlines", share_above_chance=0.1, held_out_px=np.inf, overlap=1.0, folded=0.0,
     mirrored=False, windows=8, found=0, agreeing=0, contradicting=0, window_median=np.inf, tolerance=1.0, second_peak_ratio=0.2, coverage=0.0,
-    off_share=0.0, off=[], unsupported=[[0, 0, 5, 5]], checked=0.0, unchecked=[[0, 0, 9, 9, 1.0]], cover=0.6, box=(0, 0, 9, 9),
+    off_share=0.0, off=[], unsupported=[[0, 0, 5, 5]], checked=0.0, unchecked=[[0, 0, 9, 9, 1.0]], box=(0, 0, 9, 9),
 )  # fmt: skip
 
 

@@ -154,7 +154,7 @@ def test_cells_that_lie_off_make_a_map_doubtful(pictures):
 
 
 SOUND = Evidence(
-    basis="windows", held_out_px=0.02, share_above_chance=1.0, cover=0.84, kept=335, terms=9, light="same",
+    basis="windows", held_out_px=0.02, share_above_chance=1.0, kept=335, terms=9, light="same",
     tolerance=1.0, overlap=1.0, folded=0.0, mirrored=False, scale_min=2.4, scale_max=2.5, area_ratio=1.02,
     anisotropy=1.01, windows=117, found=117, agreeing=117, contradicting=0, window_median=0.02, second_peak_ratio=0.2, coverage=1.0,
     off_share=0.0, unsupported=[], off=[], checked=0.98, unchecked=[[255.2, 19.0, 20.8, 18.6, 0.02]], box=(0, 0, 300, 230),

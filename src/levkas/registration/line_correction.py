@@ -1,8 +1,8 @@
 """Correction of displaced lines: where every line of a scan lies, as a spline along the scan, and the map that puts lines right.
 
-A scanner exposes a line at once: x and y of a whole line are functions of the line alone, and where lines turn or stretch, of the
-line and of the place along it, linearly. Thousands of pixels show them to some hundredths of a pixel. Knots are as dense as the data show:
-splines are fitted to the inner parts of all lines and have to predict the outer ones, and the other way round ([roberts2017]_).
+x and y of a line that was exposed at once are functions of the line alone, and of the place along it, linearly, where lines turn or
+stretch. Splines are fitted to the inner parts of all lines and have to predict the outer ones, and the other way round ([roberts2017]_):
+knots are as dense as the data show.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from scipy.linalg import solveh_banded
 
 from levkas.geometry.resample import warp
 from levkas.geometry.spline import SplineShift, spline_weights
+from levkas.registration.line_displacement import legendre
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,7 +27,7 @@ SPACINGS = (512, 256, 128, 64, 32, 16, 8, 4, 3, 2, 1)
 CLOSEST = (1, 3)
 """Of them, along and across the lines: between lines that stand at odd distances nothing can be interpolated."""
 LEAST_KNOWN = 0.2
-"""Information of a line over that of the median line: of less, at the rim of what both show, the end of a spline goes astray."""
+"""Information of a line over that of the median line; of less, at the rim, a spline goes astray."""
 ROUNDS, STRAY = 4, 4.0
 """Of re-weighting; in typical deviations, the median of all: so far out a line has half its weight."""
 AT_ONCE = 8
@@ -36,8 +37,7 @@ NEAREST = 0.2
 GAIN = 0.995
 """A richer spline has to lower the squares of what it misses in the parts left out to this share; 0.98 leaves up to 0.02 px more."""
 STIFFNESS = 1e-5
-"""Of second differences, as a share of the mean weight of a knot: it carries a spline over lines without detail, and takes 0.1 %
-of the distance of odd and even lines, which a hundred times more makes 12 %."""
+"""Of second differences, as a share of the mean weight of a knot: takes 0.1 % of the distance of odd and even lines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,15 +47,13 @@ class LineCorrection:
     lines: Literal["rows", "columns"]
     shift: np.ndarray
     slope: np.ndarray
-    """`shift`, `slope`: (lines, 2), px. How far the middle of each line lies along and across the lines, and how much
-    farther its end does."""
+    """`shift`, `slope`: (lines, 2), px. How far the middle of each line lies along and across, and how much farther its end does."""
     ends: tuple[float, float]
-    """In px: places along the lines: at the last one `slope` is added, at the first one subtracted."""
+    """In px: places along the lines at which `slope` is subtracted, and added."""
     spacing: float
     """In lines: of the densest knots."""
     error: float
-    """In px: standard error of the course, root mean square of both axes: by how much the inner and outer parts of lines
-    disagree on it."""
+    """In px: standard error of the course, root mean square of both axes, by how much inner and outer parts disagree."""
     scale: float
     """Px of the picture per reference px."""
     before: LineDisplacement
@@ -63,10 +61,7 @@ class LineCorrection:
 
     @property
     def uneven(self) -> float:
-        """Root mean square of half of how far a line lies from the middle of its neighbours, reference px.
-
-        A row of the grid between two lines shows both: of interlaced halves each is off by so much there, however right the map is.
-        """
+        """Root mean square of half of how far a line lies from the middle of its neighbours, reference px: a place between two shows both."""
         middle, end = (np.diff(part, n=2, axis=0) / 4 for part in (self.shift, self.slope))
         return float(np.sqrt((middle**2 + end**2 / 3).sum(1).mean())) / self.scale
 
@@ -78,11 +73,8 @@ class LineCorrection:
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers, JSON-ready, without the displacement of every line."""
         return {
-            "lines": self.lines,
-            "knots_lines": self.spacing,
             "error_px": round(self.error / self.scale, 4),
             "uneven_px": round(self.uneven, 4),
-            "sigma_px": round(self.sigma, 4),
             "before": self.before.to_dict(),
         }
 
@@ -107,13 +99,13 @@ class LineCorrection:
 
     def put_right(self, images: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return pictures, (h, w) float32, NaN where invalid, with their lines where they belong."""
-        names, transform = list(images), self.transform()
+        every, transform = list(images), self.transform()
         found: dict[str, np.ndarray] = {}
-        for start in range(0, len(names), AT_ONCE):
-            some = names[start : start + AT_ONCE]
-            cube = np.stack([images[name] for name in some], -1)
+        for start in range(0, len(every), AT_ONCE):
+            names = every[start : start + AT_ONCE]
+            cube = np.stack([images[name] for name in names], -1)
             moved = warp(cube, transform, (cube.shape[0], cube.shape[1])).values
-            found.update(zip(some, np.ascontiguousarray(moved.transpose(2, 0, 1)), strict=True))
+            found.update(zip(names, np.ascontiguousarray(moved.transpose(2, 0, 1)), strict=True))
         return found
 
     def followed_by(self, rest: LineCorrection) -> LineCorrection:
@@ -131,10 +123,7 @@ class LineCorrection:
 
 
 def find_correction(found: LineDisplacement, scale: float) -> LineCorrection | None:
-    """Return the correction of displaced lines of a picture of which `scale` px make a reference px.
-
-    None where no spline predicts parts that were left out, or where lines would change their order.
-    """
+    """Return the correction of displaced lines, `scale` px a reference px; None where no spline predicts parts left out, or lines would change order."""
     course = {of_ends: np.zeros_like(found.displacement) for of_ends in (False, True)}
     errors, spacings = [0.0], [np.inf]
     for of_ends in found.of_ends:
@@ -167,7 +156,7 @@ def _choose_spacing(
         return np.inf, 0.0
     # Two halves apart by d have a weighted mean of variance d² w₁ w₂ / (w₁ + w₂)²; maps follow a cubic along the scan.
     share = np.sqrt(np.prod(totals)) / sum(totals)
-    basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(weight)), 3)
+    basis = legendre(len(weight))
     best, error, least = np.inf, 0.0, sum(float(w @ np.square(y)) for y, w in halves)
     for spacing in SPACINGS:
         if 4 * spacing > len(weight) or spacing < closest:

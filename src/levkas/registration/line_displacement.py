@@ -1,15 +1,10 @@
-"""Displacement of single lines: the residual field line by line, finer than a check window.
+"""Displacement of single lines: rows or columns, registered one by one, finer than a check window.
 
-A push-broom scanner exposes a line at once: where its stage wobbles, stands still for some lines or loses them, each line
-as a whole lies elsewhere than its neighbours. The same holds for interlaced halves, a rolling shutter and the
-columns of a scanner on its side. Each line is registered by itself: its displacement (dx, dy) against the picture that the other
-camera predicts is a least-squares step along the line (Lucas-Kanade, [baker2004]_), with a gain of its own, so that lamp and contrast
-do not move it.
-
-Each line is cut into four parts that are registered separately. What the line as a whole does, all parts do; what
-noise, relief, a ledge or unlike pigments do, they do independently. The covariance of the parts along the scan is therefore
-the variance of the common displacement, free of noise, and the same covariance of the *differences* of parts, shifted against one another along
-the scan, is what chance makes of it: a permutation null as in `verification`.
+A push-broom scanner exposes a line at once: where its stage wobbles or loses lines, each line as a whole lies elsewhere than
+its neighbours; so do interlaced halves and lines of a rolling shutter. The displacement (dx, dy) of a line against the picture that
+the other camera predicts is a least-squares step along it (Lucas-Kanade, [baker2004]_) with a gain of its own. What the line as a whole
+does, all of its four parts do; noise, relief and unlike pigments move them independently. The covariance of the parts along the scan is
+therefore the variance of the common displacement, and that of their *differences*, shifted along the scan, is what chance makes of it.
 """
 
 from __future__ import annotations
@@ -31,33 +26,30 @@ if TYPE_CHECKING:
 
 Lines = Literal["rows", "columns"]
 ENDS = (0, 1 / 8, 1 / 2, 7 / 8, 1)
-"""Where the parts of a line begin and end, as shares of what it shows. The outer ones are as narrow as the border of an icon: a ledge
-within it displaces the others alone."""
+"""Of the parts, as shares of a line; the outer ones are as narrow as the border of an icon, whose ledge displaces the others alone."""
 SAMPLES = (16, 200)
-"""In px, of a part: fewer determine nothing, and of more the middle is used, which gives 0.03 to 0.1 px."""
+"""In px, of a part: fewer determine nothing; of more the middle is used, which gives 0.03 to 0.1 px."""
 STEPS = 5
-"""Of Gauss-Newton, each of 1 px at most; two or three suffice for 1 px, four for 3 px."""
+"""Of Gauss-Newton, each of 1 px at most; four suffice for 3 px."""
 PRIOR, MOST = 2.0, 6.0
-"""In px: standard deviation of displacements before any measurement, which holds lines without detail; beyond `MOST` a line is lost."""
+"""In px: standard deviation of displacements before any measurement; beyond `MOST` a line is lost."""
 SCALES = (0.05, 20.0)
 """Native px per reference px of maps that are looked at."""
 MOST_DRAWN = 1000
-"""Lines whose displacement a record lists."""
 LEAST_LINES = 32
 """That are registered in two parts at least."""
 DEGREE, STRAY, ALIKE = 3, 8.0, 0.6
-"""Of the polynomial along the scan that is taken out of each part, since maps err smoothly too; typical shifts, the median of all, so
-far out a shift has half its weight; a part off the middle of all by more than this is left of it strays."""
+"""Of the polynomial along the scan that is taken out, since maps err smoothly too; typical shifts at which a shift has half its
+weight; a part off the middle of all by more than this share of it strays."""
 LEAST_DEVIATIONS, LEAST_SLOPE = 4.0, 6.0
-"""Covariance of the parts, and of their slopes, in standard deviations by chance, from which lines are displaced. Of 250 honest pairs
-few covariances had more than 2, and slopes, which two pairs of parts show where six show the mean, 4 at most."""
+"""Covariance of the parts, and of their slopes, in deviations by chance, from which lines are displaced; of 250 honest pairs
+few had more than 2, and 4."""
 OUTER = 0.4
 """Share of the covariance that the two outer parts have at least: a ledge displaces the parts within it."""
 EDGE_LINES, LEAST_SHARE = 8, 0.5
-"""So far from an edge along the lines other sharpness and noise feign a displacement. On grids of tiles that explains half of the
-covariance and more, of painted scans 0.23 at most."""
+"""So far from an edge other sharpness feigns a displacement; that explains half of the covariance on tiles, 0.23 at most on paintings."""
 BLOCK, MOST_OF_BLOCKS = 8, 0.3
-"""In lines; in reference px: side of the blocks of JPEG, and the displacement that they feign at most: 0.1 at quality 50, 0.27 at 15."""
+"""In lines; in reference px: side of the blocks of JPEG, and what they feign: 0.1 at quality 50, 0.27 at 15."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +70,7 @@ class LineShifts:
     """Root mean square over a line of a displacement that is 1 px where it is stated: less than 1 of slopes, stated at the ends."""
 
     def slopes(self) -> LineShifts:
-        """Return what lines do that turn (across) or stretch (along) about their middle, at their ends.
-
-        The outermost parts and the next ones show it independently, whatever they have in common.
-        """
+        """Return how lines turn (across) or stretch (along) about their middle, at their ends, as the outermost and the next parts show it."""
         last = len(self.places) - 1
         apart = np.array([self.places[last - k] - self.places[k] for k in (0, 1)])[:, None]
 
@@ -103,7 +92,7 @@ class LineShifts:
         return np.asarray(mean)
 
     def covariance(self, outer: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Return the variance of what parts have in common along the scan, (2,) px², and its standard deviation by chance; of the outer parts alone or all."""
+        """Return the variance that parts, or the outer two, have in common along the scan, (2,) px², and its standard deviation by chance."""
         last = len(self.places) - 1
         pairs = [(0, last)] if outer else list(combinations(range(last + 1), 2))
         a, b = (self.shift[:, list(k)] for k in zip(*pairs, strict=True))
@@ -116,25 +105,17 @@ class LineShifts:
         return found, np.sqrt(np.mean(np.square(chance), 0))
 
     def are_displaced(self, sizes: np.ndarray) -> tuple[bool, float]:
-        """Return whether lines are displaced beyond chance, and the covariance of their parts in deviations by chance.
-
-        `sizes`, (2,), are reference px per px along and across the lines.
-        """
+        """Return whether lines are displaced beyond chance, and by how many deviations; `sizes`, (2,), are reference px per px along and across."""
         found, chance = self.covariance()
         deviations = found / np.maximum(chance, 1e-30)
         most, axis = float(deviations.max()), int(deviations.argmax())
-        if most < (LEAST_SLOPE if self.spread < 1 else LEAST_DEVIATIONS):
-            return False, most
-        outer, outer_chance = self.covariance(outer=True)
-        if outer[axis] + outer_chance[axis] <= OUTER * found[axis]:
-            return False, most
-        return not self._is_feigned(sizes), most
+        outer, by_chance = self.covariance(outer=True)
+        beyond = most >= (LEAST_SLOPE if self.spread < 1 else LEAST_DEVIATIONS)
+        by_all = outer[axis] + by_chance[axis] > OUTER * found[axis]
+        return bool(beyond and by_all and not self._is_feigned(sizes)), most
 
     def _is_feigned(self, sizes: np.ndarray) -> bool:
-        """Return whether a coder's blocks or edges along the lines explain what parts have in common.
-
-        Blocks of JPEG move what lies at their borders by a tenth of a pixel, every eighth line alike; odd and even lines that lie apart do not.
-        """
+        """Return whether a coder's blocks, which move every eighth line alike, or edges along the lines explain what parts have in common."""
         lines = np.arange(len(self.shift))[:, None]
         rms = float(np.sqrt((self.covariance()[0] * sizes**2).clip(0).sum()))
         eighths = (lines % BLOCK == np.arange(BLOCK - 1)).astype(float)
@@ -151,7 +132,7 @@ class LineShifts:
 
     def _share_of(self, basis: np.ndarray, sizes: np.ndarray) -> float:
         """Return the share of the covariance that basis functions, (lines, k), explain beside a cubic."""
-        cubic, common = _legendre(len(basis)), self.common()
+        cubic, common = legendre(len(basis)), self.common()
         known = np.isfinite(common).all(1)
         amounts = np.linalg.lstsq(np.hstack([basis, cubic])[known], common[known], rcond=None)[0]
         course = basis @ amounts[: basis.shape[1]]
@@ -167,19 +148,18 @@ class LineDisplacement:
     """Displacement of the lines of one picture against one another, beside what another picture predicts."""
 
     lines: Lines
-    """What a line is in its native px."""
     displaced: bool
     """Whether lines are displaced beyond chance."""
     deviations: float
     """Covariance of the parts of lines, in standard deviations by chance."""
     along: float
     across: float
-    """`along`, `across`: in reference px: root mean square of the common displacement along the lines and across them."""
+    """`along`, `across`: in reference px: root mean square of the common displacement."""
     displacement: np.ndarray
     """(n, 2), reference px. Of every line as measured, along and across; NaN where unknown."""
     parts: LineShifts
     of_ends: tuple[bool, ...]
-    """Whether lines are displaced beyond chance as a whole (False), turn or stretch about their middles (True), or both."""
+    """What is displaced beyond chance: lines as a whole (False), their ends about their middles (True), or both."""
     step: int
     """In reference px: of the grid on which it was measured."""
 
@@ -198,14 +178,9 @@ class LineDisplacement:
         sizes = np.hypot(*self.displacement.T)
         return {
             "lines": self.lines,
-            "count": int(np.isfinite(sizes).sum()),
             "displaced": self.displaced,
-            "deviations": round(self.deviations, 2),
             "rms_px": round(self.rms, 4),
-            "along_px": round(self.along, 4),
-            "across_px": round(self.across, 4),
             "largest_px": round(float(np.nanmax(sizes)), 4),
-            "sigma_px": round(self.sigma, 4),
             "step": self.step,
         }
 
@@ -224,9 +199,9 @@ class LineDisplacement:
 def measure_line_displacement(
     predictors: np.ndarray, image: np.ndarray, transform: Transform, *, step: int = 1
 ) -> LineDisplacement | None:
-    """Return how lines of a band are displaced against one another: of rows and columns those that are displaced most beyond chance; None where too few show enough.
+    """Return how rows or columns of a band, whichever are displaced most beyond chance, lie; None where too few show enough.
 
-    `predictors`, (k, h, w) float32, are images of the reference on a grid of `step` reference px, high-passed, `image`, (H, W), is the band
+    `predictors`, (k, h, w) float32, are high-passed images of the reference on a grid of `step` reference px, `image`, (H, W), is the band
     in native px, both NaN where invalid; `transform` is reference px → native px.
     """
     size = (predictors.shape[1], predictors.shape[2])
@@ -270,12 +245,9 @@ def _register_lines(lines: np.ndarray, scene: np.ndarray) -> LineShifts | None:
 
 
 def _without_course(shift: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Take a smooth course along the scan out of every part, robustly: maps err smoothly, relief and noise do not.
-
-    Returns what is left and its weight, which is less where a part strays from the others of its line.
-    """
+    """Return what is left of every part without a smooth course along the scan, and its weight, less where it strays from its line."""
     lines, parts, _ = shift.shape
-    basis = _legendre(lines)
+    basis = legendre(lines)
     left, stray = np.full_like(shift, np.nan), np.full((parts, 2), np.inf)
     for part, axis in np.ndindex(parts, 2):
         y, known = shift[:, part, axis], information[:, part, axis]
@@ -297,7 +269,7 @@ def _without_course(shift: np.ndarray, information: np.ndarray) -> tuple[np.ndar
     return np.where(known, left, 0.0), np.where(known, weight, 0.0)
 
 
-def _legendre(lines: int) -> np.ndarray:
+def legendre(lines: int) -> np.ndarray:
     """Return polynomials along the scan, (lines, 4)."""
     return np.polynomial.legendre.legvander(np.linspace(-1, 1, lines), DEGREE)
 

@@ -18,20 +18,9 @@ if TYPE_CHECKING:
     from levkas.registration.model_selection import SelectedModel
     from levkas.registration.window_matching import CheckWindows
 
-COLUMNS = tuple(
-    [
-        "reference_x",
-        "reference_y",
-        "target_x",
-        "target_y",
-        "residual",
-        "leave_one_out",
-        "weight",
-        "state",
-        "reason",
-        "round",
-    ]
-)
+COLUMNS = (
+    "reference_x", "reference_y", "target_x", "target_y", "residual", "leave_one_out", "weight", "state", "reason", "round",
+)  # fmt: skip
 Decision = Literal["accept", "warn", "by hand", "refuse"]
 
 DECISIONS = {
@@ -109,9 +98,9 @@ class Matches:
 
     reference: np.ndarray
     target: np.ndarray
-    """`reference`, `target`: (n, 2). Reference px; native px of the target (of its first sensor, where it has several)."""
+    """(n, 2). Reference px; native px of the target's first sensor."""
     residual: np.ndarray
-    """(n,), reference px. Distance of the reference point from the mapped target point; NaN where not computed."""
+    """(n,), reference px. How far a target point is mapped from its reference point; NaN where not computed."""
     leave_one_out: np.ndarray
     """(n,), reference px. The same by a fit without the pair."""
     weight: np.ndarray
@@ -126,15 +115,11 @@ class Matches:
     @classmethod
     def of(cls, reference: np.ndarray, target: np.ndarray, **known: np.ndarray) -> Matches:
         """Return matches of two (n, 2) arrays, all kept unless `known` says otherwise."""
-        n = len(reference)
+        n, of = len(reference), np.full
         columns = {
-            "residual": np.full(n, np.nan),
-            "leave_one_out": np.full(n, np.nan),
-            "weight": np.ones(n),
-            "state": np.full(n, MatchState.KEPT, object),
-            "reason": np.full(n, "", object),
-            "round": np.full(n, -1),
-        }
+            "residual": of(n, np.nan), "leave_one_out": of(n, np.nan), "weight": of(n, 1.0),
+            "state": of(n, MatchState.KEPT, object), "reason": of(n, "", object), "round": of(n, -1),
+        }  # fmt: skip
         return cls(np.asarray(reference, float), np.asarray(target, float), **(columns | known))
 
     @classmethod
@@ -155,12 +140,9 @@ class Matches:
         numbers = np.column_stack(
             [self.reference, self.target, self.residual, self.leave_one_out, self.weight]
         )
-        for row, state, reason, left in zip(
-            numbers, self.state, self.reason, self.round, strict=True
-        ):
-            texts = (
-                "" if np.isnan(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in row.tolist()
-            )
+        words = zip(self.state, self.reason, self.round, strict=True)
+        for row, (state, reason, left) in zip(numbers.tolist(), words, strict=True):
+            texts = ("" if np.isnan(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in row)
             yield (*texts, str(state), str(reason), "" if left < 0 else str(int(left)))
 
 
@@ -170,7 +152,7 @@ class Trace:
 
     reject: float
     stop: float
-    """`reject`, `stop`: in reference px: t1 and T2 of the paper."""
+    """In reference px: t1 and T2 of the paper."""
     scale: Transform
     """The scale-only map target → reference under which the first cut was made."""
     scale_errors: np.ndarray
@@ -180,8 +162,7 @@ class Trace:
     removed: np.ndarray
     """(rounds,). Index of the match that leaves after the round; -1 where none does."""
     corners: np.ndarray
-    """(rounds, 4, 2), reference px. Corners of the target's frame under the model of each round, clockwise from the top
-    left."""
+    """(rounds, 4, 2), reference px. Corners of the target's frame under the model of each round, clockwise from the top left."""
     frame: np.ndarray
     """(4, 2), reference px. The same corners under `scale`."""
     size: tuple[int, int]
@@ -235,7 +216,7 @@ class Sigma:
 
     x: np.ndarray
     y: np.ndarray
-    """`x`, `y`: (n,) and (m,), reference px. Of a lattice over the reference's frame."""
+    """(n,) and (m,), reference px. Of a lattice over the reference's frame."""
     values: np.ndarray
     """(m, n), reference px."""
 
@@ -341,19 +322,19 @@ def describe_windows(
     """Return the windows on which the base map of a sensor rests, JSON-ready; a list a column, reference px.
 
     `source` is ``"fused"`` where the windows of several bands were put together, else the band; by `band` the map was checked.
-    ``windows``: ``x``, ``y``; ``shift_x``, ``shift_y`` from where the map puts a window to where it is
-    found; ``sigma`` of that, either axis; ``held_out``, the length of the same shift from a map that was
-    fitted without its block (None where there is none); ``weight`` in the fit, 0..1. ``count`` of all
-    windows, of which at most 1000, evenly, are written. ``checks``: the windows that were searched freely.
+    ``windows``, at most 1000 of all ``count``, evenly: ``x``, ``y``; ``shift_x``, ``shift_y`` from where the map puts a window to where it
+    is found; ``sigma`` of that, either axis; ``held_out``, the length of the shift from a map fitted without its block, or None;
+    ``weight`` in the fit, 0..1. ``checks``: the windows that were searched freely.
     """
     observations = selected.observations
     chosen = slice(None, None, max(1, -(-len(observations) // MOST_WINDOWS)))
     known = np.trace(observations.information, axis1=1, axis2=2) / 2
+    (x, y), (shift_x, shift_y) = observations.points.T, observations.residuals(selected.transform).T
     columns = {
-        "x": (observations.points[:, 0], 1),
-        "y": (observations.points[:, 1], 1),
-        "shift_x": (observations.residuals(selected.transform)[:, 0], 4),
-        "shift_y": (observations.residuals(selected.transform)[:, 1], 4),
+        "x": (x, 1),
+        "y": (y, 1),
+        "shift_x": (shift_x, 4),
+        "shift_y": (shift_y, 4),
         "sigma": (np.where(known > 0, known, np.nan) ** -0.5, 4),
         "held_out": (selected.held_out(), 4),
         "weight": (selected.weights, 3),

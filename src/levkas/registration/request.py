@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -32,7 +32,7 @@ class Request:
 
     reference: Sequence[BandImage]
     target: Sequence[BandImage]
-    """`reference`, `target`: of either camera; the same sequence for the reference camera's own bands."""
+    """The same sequence for the reference camera's own bands."""
     reference_band: str
     """Label of the band of `reference` that defines reference px."""
     region: Sequence[float] | None = None
@@ -54,8 +54,7 @@ class Request:
     align: Mapping[str, Any] = field(default_factory=dict)
     """Of a target with several sensors, where it is declared: first sensor's px → this sensor's."""
     one_scan: bool = False
-    """Whether the bands of a sensor of the target are maps of one scan: they share one map, and may be sampled up to 30
-    times as coarsely as the reference."""
+    """Whether bands of a sensor of the target share one map, and may be sampled up to 30 times as coarsely as the reference."""
 
     @property
     def is_own(self) -> bool:
@@ -67,38 +66,32 @@ def read_options(model: type[BaseModel], options: Mapping[str, Any]) -> BaseMode
     """Return the options of a method, checked; raises `RegistrationRefused` with all that is wrong."""
     known = {name: value for name, value in options.items() if value is not None}
     problems = check_thresholds(known.get("reject"), known.get("stop", 1.0))
+    named = {problem.field for problem in problems}
     try:
         read = model.model_validate(known)
     except ValidationError as error:
-        named = {problem.field for problem in problems}
         for one in error.errors():
             name, text = str(one["loc"][0]), requirement(str(one["msg"]))
-            field = f"registration.{name}"
-            if field not in named:
-                problems.append(
-                    Problem("E_VALUE", f"{name} {text}", field=field, found=one["input"])
-                )
+            at = {"field": f"registration.{name}", "found": one["input"]}
+            if at["field"] not in named:
+                problems.append(Problem("E_VALUE", f"{name} {text}", **at))
     if problems:
         raise RegistrationRefused(*problems)
     return read
 
 
-def check_request(request: Request, method: str, methods: Iterable[str]) -> None:
+def check_request(request: Request, method: str, methods: Collection[str]) -> None:
     """Raise `RegistrationRefused` with everything that is wrong with a request."""
-    problems = []
-    if method not in (known := sorted(methods)):
+    problems, known = [], ", ".join(sorted(methods))
+    if method not in methods:
         why = f": {UNUSABLE[method]}" if method in UNUSABLE else ""
-        problems.append(
-            _wrong("method", method, ", ".join(known), f"unknown method {method!r}{why}")
-        )
+        problems.append(_wrong("method", method, known, f"unknown method {method!r}{why}"))
     problems += _check_bands("reference", request.reference)
     problems += [] if request.is_own else _check_bands("target", request.target)
     labels, band = [image.label for image in request.reference], request.reference_band
     if labels and band not in labels:
-        text, expected = f"unknown reference band {band!r}", ", ".join(labels[:12])
-        problems.append(
-            Problem("E_BAND_MISSING", text, field="reference_band", found=band, expected=expected)
-        )
+        at = {"field": "reference_band", "found": band, "expected": ", ".join(labels[:12])}
+        problems.append(Problem("E_BAND_MISSING", f"unknown reference band {band!r}", **at))
     region = request.region
     if region is not None and not (
         len(region) == 4 and all(map(isfinite, region)) and min(region[2:]) > 0
@@ -148,18 +141,18 @@ def _check_bands(name: str, images: Sequence[BandImage]) -> list[Problem]:
     sizes: dict[str, tuple[int, int]] = {}
     for image in images:
         size, whole = image.size, sizes.setdefault(image.sensor, image.size)
-        for text, expected, good in (
-            (f"bands of one sensor of the {name} differ in size", whole, whole == size),
+        differ, small = size != whole, min(size) < LEAST_SIDE_PX
+        for wrong, text, expected in (
+            (differ, f"bands of one sensor of the {name} differ in size", whole),
             (
+                small,
                 f"a band of the {name} is too small to register",
-                f"at least {LEAST_SIDE_PX} px a side",
-                min(size) >= LEAST_SIDE_PX,
+                f">= {LEAST_SIDE_PX} px a side",
             ),
         ):
-            if not good:
-                problems.append(
-                    Problem("E_SIZE", text, field=image.label, found=size, expected=expected)
-                )
+            if wrong:
+                at = {"field": image.label, "found": size, "expected": expected}
+                problems.append(Problem("E_SIZE", text, **at))
     return problems
 
 

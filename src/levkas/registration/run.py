@@ -12,11 +12,7 @@ import numpy as np
 from levkas.registration.advice import advise
 from levkas.registration.bands import BandImage
 from levkas.registration.methods import DEFAULT_METHOD, METHODS
-from levkas.registration.record import (
-    Registration,
-    RegistrationRefused,
-    refusal,
-)
+from levkas.registration.record import Registration, RegistrationRefused, refusal
 from levkas.registration.request import Request, check_request, read_options
 
 if TYPE_CHECKING:
@@ -45,38 +41,17 @@ def register(
 ) -> Registration:
     """Find the map from reference px to native px of every band of one camera.
 
-    Parameters
-    ----------
-    reference, target : ndarray, (h, w) or (h, w, bands), or sequence of BandImage
-        Pixels of the reference camera and of the camera to register, at least 16 px a side, in any unit; the same object for the
-        reference camera's own bands. A value that is not finite is not used. Bands of an array are labelled ``"1"``, ``"2"``, …
-    reference_band : str, optional
-        Label of the band of `reference` that defines reference px. Default: the middle band.
-    method : str
-        A key of `METHODS`: ``"levkas"`` (docs/explanation/registration.md), ``"mirhashemi2019"`` (section 3.5 of [mirhashemi2019]_,
-        doi:10.3390/computation7030047), or one of an installed package.
-    region : (x, y, width, height), reference px, optional
-        Where the object lies; nothing outside is used or judged.
-    given : mapping of sensor name to ManualPoints, optional
-        Pairs given by hand: added and pinned ones are never removed, deleted ones never used, check
-        points are measured into ``errors["check_points"]``, each by the band that it was placed in. Where they are
-        `accepted`, the map of their sensor is fitted to them alone, whatever the method.
-    **options
-        Of the method, as campaign.toml names them; None is the default. Further fields of the
-        `Request` are taken too, e.g. `reference_transforms`.
+    `reference` and `target` are arrays, (h, w) or (h, w, bands), of which bands are labelled ``"1"``, ``"2"``, …, or sequences of
+    `BandImage`, at least 16 px a side, in any unit; the same object for the reference camera's own bands. A value that is not finite is
+    not used. `reference_band` labels the band that defines reference px, by default the middle one. `method` is a key of `METHODS`:
+    ``"levkas"`` (docs/explanation/registration.md), ``"mirhashemi2019"`` (section 3.5 of [mirhashemi2019]_, doi:10.3390/computation7030047),
+    or one of an installed package. The object lies in `region`, (x, y, width, height) in reference px: nothing outside is used or judged.
+    `given`, by sensor, are pairs given by hand: added and pinned ones are never removed, deleted ones never used, check points are measured
+    into ``errors["check_points"]``, each by the band that it was placed in; where they are `accepted`, the map of their sensor is fitted to
+    them alone. `options` are those of the method, as campaign.toml names them, None for the default, and further fields of the `Request`.
 
-    Returns
-    -------
-    registration : Registration
-        `transforms`: band label → map, reference px to native px of the band; `sigma`: band label →
-        one standard deviation of the position, reference px; `verdict`: `decision` is ``"accept"``,
-        ``"warn"``, ``"by hand"`` or ``"refuse"``, with `reasons`. A map with the verdict ``"refuse"`` is not reliable.
-
-    Raises
-    ------
-    RegistrationRefused
-        ``E_MATCHES`` and others where no map is found; ``E_VALUE``, ``E_SIZE``, ``E_BAND_MISSING`` or
-        ``E_BAND_TWICE`` where an argument is wrong.
+    A map with the verdict ``"refuse"`` is not reliable. Raises `RegistrationRefused`: ``E_MATCHES`` and others where no map is found;
+    ``E_VALUE``, ``E_SIZE``, ``E_BAND_MISSING`` or ``E_BAND_TWICE`` where an argument is wrong.
 
     Examples
     --------
@@ -150,11 +125,9 @@ def _require_maps(found: Registration, request: Request, method: str) -> None:
         raise refusal(
             "E_METHOD",
             f"the registration method {method!r} returns no map for {len(lacking)} of {len(request.target)} bands",
-            field="registration.method",
-            found=", ".join(lacking[:12]),
-            expected="a transform of every band of the target, by its label",
+            field="registration.method", found=", ".join(lacking[:12]), expected="a transform of every band of the target, by its label",
             fix="Report this to the author of the method, or choose another one.",
-        )
+        )  # fmt: skip
 
 
 def _bands_of(pixels: np.ndarray | Sequence[BandImage], name: str) -> Sequence[BandImage]:
@@ -182,12 +155,11 @@ def _bands_of(pixels: np.ndarray | Sequence[BandImage], name: str) -> Sequence[B
 
 def _function(method: str) -> Callable[[Request, Any], Registration]:
     """Return the function of a method; of a built-in one it is imported now."""
-    if method not in BUILT_IN:
-        row = METHODS[method].register
-        assert row is not None, f"the method {method!r} has no function"
-        return row
-    module, name = BUILT_IN[method]
-    found: Callable[[Request, Any], Registration] = getattr(import_module(module), name)
+    found: Callable[[Request, Any], Registration] | None = METHODS[method].register
+    if method in BUILT_IN:
+        module, name = BUILT_IN[method]
+        found = getattr(import_module(module), name)
+    assert found is not None, f"the method {method!r} has no function"
     return found
 
 
@@ -204,9 +176,9 @@ def _with_checks(
         if first is None or not len(pairs.checks):
             continue
         labels = [label or first for label in pairs.placed or ("",) * len(pairs.checks)]
-        errors = np.array(
+        errors = np.concatenate(
             [
-                measure_checks(pair[None], found.transforms[label])[0]
+                measure_checks(pair[None], found.transforms[label])
                 for label, pair in zip(labels, pairs.checks, strict=True)
             ]
         )

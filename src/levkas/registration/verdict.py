@@ -1,10 +1,8 @@
 """Verdict: rules on evidence decide whether a registration is accepted, and give the reasons.
 
-A rule that finds a contradiction makes a map doubtful (``"warn"``) or refuses it. Where nothing contradicts a
-map and nothing confirms it either, it is accepted, and the part that was not checked is named and counted: most
-correct maps have such a part, and a warning on most maps would be ignored. No rule looks at the residuals of matches that
-were kept: the removal of outliers makes those small whether the map is right or not. `benchmarks/verdict.py classes`
-measures how often each class is correct.
+A rule that finds a contradiction makes a map doubtful (``"warn"``) or refuses it. What nothing contradicts is accepted, and the
+part that was not checked is named and counted: most correct maps have one. No rule looks at the residuals of matches that were kept: the
+removal of outliers makes those small whether the map is right or not. `benchmarks/verdict.py classes` measures how often each class is correct.
 """
 
 from __future__ import annotations
@@ -35,14 +33,15 @@ ONLY = "sensor"
 SCALES = (0.15, 6.7)
 """Target px per reference px that a camera can have."""
 ALIGN_PX = 3.0
-"""In px of a sensor: from a declared alignment; refocusing moves the sensors of a camera against one another by a px or two."""
+"""In px of a sensor, from a declared alignment: refocusing moves it by a px or two."""
 GOOD_STEPS, BAD_PX, BAD_STEPS = 0.25, 1.0, 0.3
-"""Held-out error: px of the compared grid that are a doubt; reference px, and px of the grid, that are refused: where the
-target is coarse, single windows scatter more than the map is off."""
+"""Held-out error: px of the compared grid that are a doubt; reference px, and px of the grid, the larger, that are refused."""
 LEAST_FOUND, LEAST_FOUND_SHARE = 6, 0.05
 """Check windows that have to be found, in number and as a share."""
 LEAST_OUTLINES, LEAST_OUTLINES_SHARE = 14, 0.75
 """Large blocks that have to agree by their outlines, in number and as a share, where windows are not recognised."""
+MOST_CONTRADICTING = 0.4
+"""Share of the telling windows."""
 SURE_MATCHES = 10
 """Matches for each coefficient of a polynomial that make up for missing windows."""
 
@@ -69,8 +68,8 @@ class Evidence:
     found: int
     agreeing: int
     contradicting: int
-    """`windows`, `found`, `agreeing`, `contradicting`: check windows, those that are recognised beyond chance, those of these within
-    twice the `tolerance` of where the map puts them, and those that fit elsewhere better than their own noise explains."""
+    """Check windows, those recognised beyond chance, those of these within twice the `tolerance` of where the map puts them, and those
+    that fit elsewhere better than their own noise explains."""
     window_median: float
     """How far the last two are off, infinite without any."""
     second_peak_ratio: float
@@ -83,14 +82,14 @@ class Evidence:
     """Of these cells, the share that windows contradict."""
     unsupported: list[list[float]]
     off: list[list[float]]
-    """`unsupported`, `off`: cells, (x, y, width, height), where nothing confirms the map, and where windows contradict it."""
+    """Cells, (x, y, width, height), where nothing confirms the map, and where windows contradict it."""
     checked: float
     """Of what both pictures show, the share no farther than a window's side from windows that confirm the map."""
     unchecked: list[list[float]]
     """Rectangles about the largest parts of the rest, each with its share at the end."""
     scale_min: float = 1.0
     scale_max: float = 1.0
-    """`scale_min`, `scale_max`: target px per reference px."""
+    """Target px per reference px."""
     area_ratio: float = 1.0
     """Largest to smallest local area."""
     anisotropy: float = 1.0
@@ -105,13 +104,9 @@ class Evidence:
     """Of matches: error that one in ten exceeds."""
     window_sigma_px: float | None = None
     """Median sigma of the shifts of single windows, either axis."""
-    fitted_windows: int | None = None
     share_above_chance: float | None = None
     """Of those windows, the share that matches better than 19 of 20 unrelated ones."""
-    cover: float | None = None
-    """Share of the reference's windows that could be compared."""
     begun: Literal["key points", "outlines", "pairs"] = "key points"
-    key_points: int | None = None
     rounds: int | None = None
     converged: bool = True
     moved: float = 0.0
@@ -135,7 +130,7 @@ class Evidence:
 
     @property
     def telling(self) -> int:
-        """Check windows that agree with the map or contradict it; others say nothing."""
+        """Check windows that say something."""
         return self.agreeing + self.contradicting
 
     @property
@@ -145,7 +140,7 @@ class Evidence:
 
     @property
     def agree_by_outlines(self) -> bool:
-        """Whether enough blocks lie where the map puts them, in number and as a share."""
+        """Whether enough blocks lie where the map puts them."""
         found = self.outlines
         return found is not None and found["agreeing"] >= max(
             LEAST_OUTLINES, LEAST_OUTLINES_SHARE * found["blocks"]
@@ -208,14 +203,11 @@ def _describe_lines(e: Evidence) -> str:
     lines, followed = e.line_displacement, e.line_correction
     texts = []
     if followed:
-        texts.append(
-            f"{_displaced(followed['before'])} The registration follows them, to {followed['error_px']:.2f} px"
-            + (
-                f"; a place between two of them shows both, {followed['uneven_px']:.2f} px (root mean square) to either side."
-                if followed["uneven_px"] > followed["error_px"]
-                else "."
-            )
-        )
+        apart = max(followed["uneven_px"], followed["error_px"])
+        texts = [
+            _displaced(followed["before"]),
+            f"The registration follows them to {apart:.2f} px.",
+        ]
     if lines and lines["displaced"]:
         texts.append(_displaced(lines))
     return " ".join(texts)
@@ -246,35 +238,67 @@ def _held_out(e: Evidence) -> float:
 
 
 def _few_found(e: Evidence) -> float:
-    """Return 1 where too few windows are found, 0.5 where many matches make up for that."""
+    """Return 1 where too few windows are found, or nothing was held out, 0.5 where many matches make up for missing windows."""
+    if not isfinite(e.held_out_px):
+        return 1.0
     if e.telling >= max(LEAST_FOUND, LEAST_FOUND_SHARE * e.windows):
         return 0.0
     return 0.5 if e.kept >= SURE_MATCHES * e.terms else 1.0
 
 
-def _disagreeing(e: Evidence) -> float:
-    """Return the share of the telling windows that contradict the map, 1 where their median error exceeds the tolerance."""
-    if _few_found(e):
-        return 0.0
-    return 1.0 if e.window_median > e.tolerance else e.contradicting / max(e.telling, 1)
+def _contradicted(e: Evidence) -> float:
+    """Return the share of the cells that windows contradict; 1 where they do everywhere: many of them, or by their median."""
+    told = e.telling >= max(LEAST_FOUND, LEAST_FOUND_SHARE * e.windows)
+    everywhere = e.contradicting > MOST_CONTRADICTING * e.telling or e.window_median > e.tolerance
+    return 1.0 if told and everywhere else e.off_share
+
+
+def _describe_contradiction(e: Evidence) -> str:
+    if not e.off_share:
+        return (
+            f"Only {e.agreeing} check windows agree with the map, {e.contradicting} contradict it; "
+            f"the median error is {e.window_median:.1f} px."
+        )
+    return f"The map is wrong in {percent(e.off_share * e.visible)} of the layer {_places(e.off)}."
 
 
 def _beyond_windows(e: Evidence) -> float:
-    """Return the share of what both pictures show that is far from windows that confirm the map, in patches of which the largest is 15 % at least where that is a quarter.
+    """Return the share of what both pictures show that is far from windows that confirm the map, in patches of which the largest is 15 % at
+    least where that is a quarter: beyond windows a map is extrapolated. 22 to 58 % lie in one patch where bent pictures have a blank part."""
+    if e.basis == "matches" or not e.unchecked:
+        return 0.0
+    return min(1 - e.checked, e.unchecked[0][-1] / 0.6)
 
-    Between windows a map is interpolated, beyond them it is not; 22 to 58 % lie in one patch where bent pictures have a blank part.
-    """
-    return min(1 - e.checked, e.unchecked[0][-1] / 0.6) if e.unchecked else 0.0
+
+def _unchecked(e: Evidence) -> float:
+    """Return the share of the cells that nothing confirms, by matches twice, which err together; at least 0.6 where a quarter is extrapolated."""
+    share = (1 - e.coverage) * (2 if e.basis == "matches" else 1)
+    return max(share, 0.6) if _beyond_windows(e) > 0.25 else share
 
 
-def _extrapolated(e: Evidence) -> str:
+def _describe_unchecked(e: Evidence) -> str:
+    if 1 - e.coverage > 0.5 or not _beyond_windows(e) > 0.25:
+        return f"The map was not checked in {percent((1 - e.coverage) * e.visible)} of the layer {_places(e.unsupported)}."
     *box, part = e.unchecked[0]
-    text = (
-        f"The held-out error is {e.held_out_px:.2f} px over the {percent(e.confirmed)} of the layer that was checked"
-        if isfinite(e.held_out_px)
-        else f"Only {percent(e.confirmed)} of the layer was checked"
+    return (
+        f"Only {percent(e.confirmed)} of the layer was checked. In {percent(part * e.visible)} of the layer "
+        f"the map is extrapolated {_places([box])}."
     )
-    return f"{text}. In {percent(part * e.visible)} of the layer the map is extrapolated {_places([box])}."
+
+
+def _impossible(e: Evidence) -> float:
+    """Return by which factor a map's scale lies beyond those of a camera; infinite where it folds or shows nothing."""
+    if e.folded or not e.overlap:
+        return inf
+    return max(e.scales[0] / e.scale_min, e.scale_max / e.scales[1])
+
+
+def _describe_impossible(e: Evidence) -> str:
+    if not e.overlap:
+        return "The map places the whole reference outside the other picture."
+    if e.folded:
+        return f"The map folds or is undefined in {percent(e.folded)} of the overlap."
+    return f"The scale of the map is {e.scale_min:.3g} to {e.scale_max:.3g}; a camera gives {e.scales[0]:g} to {e.scales[1]:g}."
 
 
 UNEVEN = (
@@ -301,22 +325,10 @@ RULES = (
         on=("windows",), lacks_evidence=True,
     ),
     Rule(
-        "held out", lambda e: float(not isfinite(e.held_out_px)), inf, inf, 0.5,
-        lambda e: "Too little was found to measure a held-out error.", lacks_evidence=True,
-    ),
-    Rule(
         "held-out error", _held_out, inf, 0.0, 1.0,
         lambda e: f"The held-out error is {e.held_out_px:.2f} px: no single map fits everywhere.", refused=BENT,
     ),
-    Rule(
-        "fold", lambda e: e.folded if e.overlap else 1.0, inf, inf, 0.0,
-        lambda e: f"The map folds or is undefined in {percent(e.folded)} of the overlap."
-        if e.overlap else "The map places the whole reference outside the other picture.",
-    ),
-    Rule(
-        "scale", lambda e: max(e.scales[0] / e.scale_min, e.scale_max / e.scales[1]), inf, inf, 1.0,
-        lambda e: f"The scale of the map is {e.scale_min:.3g} to {e.scale_max:.3g}; a camera gives {e.scales[0]:g} to {e.scales[1]:g}.",
-    ),
+    Rule("impossible", _impossible, inf, inf, 1.0, _describe_impossible),
     Rule(
         "stretch", lambda e: e.anisotropy, inf, 1.5, 2.0,
         lambda e: f"The map stretches one direction {e.anisotropy:.2f} times as much as the other.", refused=TILTED,
@@ -327,11 +339,8 @@ RULES = (
     ),
     Rule(
         "found", _few_found, inf, 0.4, 0.9,
-        lambda e: f"Only {e.telling} of {e.windows} check windows were found: too few to check the map.", lacks_evidence=True,
-    ),
-    Rule(
-        "agree", _disagreeing, inf, inf, 0.4,
-        lambda e: f"Only {e.agreeing} check windows agree with the map, {e.contradicting} contradict it; the median error is {e.window_median:.1f} px.",
+        lambda e: f"Only {e.telling} of {e.windows} check windows were found: too few to check the map."
+        if isfinite(e.held_out_px) else "Too little was found to measure a held-out error.", lacks_evidence=True,
     ),
     Rule(
         "elsewhere", lambda e: e.second_peak_ratio, inf, 0.85, 0.95,
@@ -345,22 +354,9 @@ RULES = (
         refused=f"{OTHER}; if this camera shows only a part of it, capture the rest too.",
         noted="Do not use the layer where this camera has no data.",
     ),
+    Rule("contradicted", _contradicted, inf, 0.0, 0.2, _describe_contradiction, REGION),
     Rule(
-        "off", lambda e: e.off_share, inf, 0.0, 0.2,
-        lambda e: f"The map is wrong in {percent(e.off_share * e.visible)} of the layer {_places(e.off)}.", REGION,
-    ),
-    Rule(
-        "coverage", lambda e: 1 - e.coverage, 0.1, 0.5, 0.85,
-        lambda e: f"The map was not checked in {percent((1 - e.coverage) * e.visible)} of the layer {_places(e.unsupported)}.",
-        REGION, noted=REGION, on=("windows",), lacks_evidence=True,
-    ),
-    Rule(
-        "coverage by matches", lambda e: 1 - e.coverage, 0.1, 0.25, 0.4,
-        lambda e: f"The map was not checked in {percent((1 - e.coverage) * e.visible)} of the layer {_places(e.unsupported)}.",
-        REGION, noted=REGION, on=("matches",),
-    ),
-    Rule(
-        "checked", _beyond_windows, inf, 0.25, inf, _extrapolated, REGION, on=("windows",),
+        "unchecked", _unchecked, 0.1, 0.5, 0.85, _describe_unchecked, REGION, noted=REGION, lacks_evidence=True,
     ),
     Rule(
         "align", lambda e: e.align_apart_px or 0.0, inf, ALIGN_PX, inf,
@@ -368,25 +364,16 @@ RULES = (
         "Correct this sensor's `align` in campaign.toml, or take it out to have it measured.",
     ),
     Rule(
-        "compared", lambda e: 1 - (1.0 if e.cover is None else e.cover), 0.5, inf, inf,
-        lambda e: f"Only {percent(e.cover or 0.0)} of the reference's windows were compared.", noted=LOOK,
-    ),
-    Rule(
         "converged", lambda e: float(not e.converged), inf, 0.5, inf,
         lambda e: f"The map did not converge in {e.rounds} rounds: the last round moved it by {e.moved:.2f} px.",
     ),
 )  # fmt: skip
 """In the order of their reasons. `lines`: honest pictures have 0.04 px at most that is more than chance. `held-out error`: 0.6 to
-1.05 of the windows' sigma on right maps of infrared pictures, 0.8 to 11 on maps that are wrong somewhere. `coverage`: what lies beyond windows
-that confirm a map is doubted by `checked`; cells between them that show little in either light are only named."""
+1.05 of the windows' sigma on right maps of infrared pictures, 0.8 to 11 on maps that are wrong somewhere."""
 
 
 def objections_to(evidence: Evidence) -> list[Objection]:
-    """Return the objections of the rules to a map, in their order.
-
-    Where little could be compared window by window, and outlines agree all over, want of evidence makes a
-    map doubtful only.
-    """
+    """Return the objections of the rules to a map, in their order; where outlines agree all over, want of evidence is a doubt only."""
     found = []
     for rule in RULES:
         number = rule.number(evidence) if evidence.basis in rule.on else -inf
@@ -418,10 +405,9 @@ def judge(
     object_share: float = 1.0,
     placed: Mapping[str, dict[str, Any]] | None = None,
 ) -> Verdict:
-    """Decide on a camera by the evidence on its sensors, None of one that is registered to nothing: the worst decides.
+    """Decide on a camera by its worst sensor; None is one that is registered to nothing.
 
-    `object_share` of the layer shows the object; sensors that a person `placed`, by `PlacedByHand.to_dict`, are neither accepted nor
-    refused.
+    `object_share` of the layer shows the object; sensors that a person `placed`, by `PlacedByHand.to_dict`, are neither accepted nor refused.
     """
     placed, known = placed or {}, {name: one for name, one in sensors.items() if one is not None}
     objections = [
@@ -464,7 +450,6 @@ def _where(name: str) -> str:
 
 
 def _describe_pairs(placed: Mapping[str, Any]) -> str:
-    """Return the label of a sensor that was placed by hand, and on which pairs its map rests."""
     label = describe_placement(placed)
     text = f"{label[0].upper()}{label[1:]}. The {placed['model']} rests on {counted(placed['pairs'], 'pair')}"
     if placed["worst"] is None:

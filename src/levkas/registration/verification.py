@@ -61,8 +61,6 @@ class PermutationTest:
     """0..1. Value of `shifts.r2` that 19 of 20 unrelated windows stay below."""
     share: float
     """Of the windows, predicted beyond chance."""
-    cover: float
-    """Share of the reference's windows that could be compared."""
 
     @property
     def is_partly_covered(self) -> bool:
@@ -99,11 +97,11 @@ def run_permutation_test(predictor: Predictor, images: Sequence[np.ndarray]) -> 
         _mean_shifts([measure_shifts(predictor, image) for image in some])
         for some in (images, rolled)
     )
-    used, able = has_information(shifts.information), predictor.counts.reshape(-1) > 0
+    used = has_information(shifts.information)
     null = by_chance.r2[has_information(by_chance.information)]
     level = float(np.quantile(null, 0.95)) if len(null) >= 10 else 0.5
     share = float((shifts.r2[used] > level).mean()) if used.any() else 0.0
-    return PermutationTest(shifts, level, share, float(used.sum() / max(able.sum(), 1)))
+    return PermutationTest(shifts, level, share)
 
 
 def _mean_shifts(shifts: Sequence[WindowShifts]) -> WindowShifts:
