@@ -200,10 +200,10 @@ def test_keys_of_the_papers_method_reach_only_cameras_that_use_it(tmp_path):
 
 
 def test_options_name_what_the_registration_has():
-    from levkas.registration import BUILT_IN
     from levkas.registration.features import DETECTORS
     from levkas.registration.matching import MATCHERS
     from levkas.registration.methods import METHODS
+    from levkas.registration.run import BUILT_IN
 
     assert set(BUILT_IN) <= set(METHODS)
     options = METHODS["mirhashemi2019"].options.model_fields

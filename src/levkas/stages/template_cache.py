@@ -6,17 +6,19 @@ import hashlib
 import zipfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from levkas.calibration.summary import Summary
-from levkas.calibration.templates import DarkFit, ShotLevels, Template
-from levkas.campaign.discovery.captures import FrameRef
 from levkas.core.files import make_folder, remove, replacing
 from levkas.stages.sources import made_with
 
-Made = TypeVar("Made", Template, Summary)
+if TYPE_CHECKING:
+    from levkas.calibration.summary import Summary
+    from levkas.calibration.templates import Template
+    from levkas.campaign.discovery.captures import FrameRef
+
+Made = TypeVar("Made", "Template", "Summary")
 Digests = Callable[[Path], Mapping[Path, str]]
 
 
@@ -100,6 +102,8 @@ def _digest(level: Any) -> str:
 
 
 def _read(stored: Any) -> Template:
+    from levkas.calibration.templates import DarkFit, ShotLevels, Template  # heavy
+
     variance = stored["variance"]
     exposure, times = float(stored["exposure_s"]), stored["times_s"]
     levels, error = stored["levels"], stored["level_error"]
@@ -126,8 +130,7 @@ def _write(handle: Any, template: Template) -> None:
     more: dict[str, Any] = {}
     if (fit := template.fit) is not None:
         more = {"fit_variance": fit.variance, "fit": [fit.noise, fit.zeros, *fit.blacks]}
-    none = np.zeros((0, 0))
-    shots = template.shots or ShotLevels(none, none[0:0].ravel())
+    none, shots = np.zeros((0, 0)), template.shots
     np.savez(
         handle,
         mean=template.mean,
@@ -136,16 +139,18 @@ def _write(handle: Any, template: Template) -> None:
         saturated=template.saturated,
         black=template.black,
         exposure_s=np.nan if template.exposure_s is None else template.exposure_s,
-        levels=shots.levels,
-        level_error=shots.error,
-        times_s=np.array(shots.times_s or ()),
-        differing=np.array(shots.differing, int),
-        apart=shots.apart,
+        levels=shots.levels if shots else none,
+        level_error=shots.error if shots else none.ravel(),
+        times_s=np.array((shots and shots.times_s) or ()),
+        differing=np.array(shots.differing if shots else (), int),
+        apart=shots.apart if shots else 0.0,
         **more,
     )
 
 
 def _read_summary(stored: Any) -> Summary:
+    from levkas.calibration.summary import Summary  # heavy
+
     top, constant = stored["ends"].tolist()
     same = None if np.isnan(constant) else constant
     sample, codes = stored["sample"], stored["codes"]
