@@ -8,7 +8,6 @@ of kernels imported so far is compiled again.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -36,22 +35,19 @@ class _Compiling(event.Listener):
 event.register("numba:compile", _Compiling())
 
 
-def njit(*args: Any, **options: Any) -> Any:
+def njit(function: Any = None, **options: Any) -> Any:
     """Compile a function as `numba.njit` does; with `cache=True` only current code is loaded.
 
     Without `cache=True` it can be called by other kernels only: what calls it from Python is left out,
     a tenth of the time to compile.
     """
-    options = {**OPTIONS, "no_cpython_wrapper": not options.get("cache"), **options}
-    decorate: Callable[[Any], Any] = (
-        numba.njit(**options) if args and callable(args[0]) else numba.njit(*args, **options)
-    )
+    kept = bool(options.get("cache"))
 
     def compiled(function: Any) -> Any:
-        _drop_old_code(function, kept=bool(options.get("cache")))
-        return decorate(function)
+        _drop_old_code(function, kept=kept)
+        return numba.njit(**{**OPTIONS, "no_cpython_wrapper": not kept, **options})(function)
 
-    return compiled(args[0]) if args and callable(args[0]) else compiled
+    return compiled if function is None else compiled(function)
 
 
 def _drop_old_code(function: Any, *, kept: bool) -> None:

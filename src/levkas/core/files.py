@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 from levkas.core.disk import WriteRefused, refusing, require_space
 from levkas.core.json_safe import to_json
 from levkas.core.locks import take
+from levkas.core.machine import of_libc
 from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
@@ -463,12 +464,8 @@ def _sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def _of_libc(name: str) -> Any:
-    return getattr(ctypes.CDLL(None, use_errno=True), name, None) if os.name != "nt" else None
-
-
 def _sync_file_system(descriptor: int) -> None:
-    call = _of_libc("syncfs")
+    call = of_libc("syncfs")
     if call is None:
         getattr(os, "sync", lambda: None)()
     elif call(descriptor) != 0:
@@ -478,5 +475,5 @@ def _sync_file_system(descriptor: int) -> None:
 
 def _exchange(one: Path, other: Path) -> bool:
     """Swap two names in one step, so that no moment is without either; False where it cannot be."""
-    call, here, exchange = _of_libc("renameat2"), -100, 2
+    call, here, exchange = of_libc("renameat2"), -100, 2
     return call is not None and call(here, bytes(one), here, bytes(other), exchange) == 0

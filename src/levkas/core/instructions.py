@@ -36,23 +36,16 @@ OPENCV_SETS = {
 def hold_instructions() -> bool:
     """Hold the libraries of this process, and of those that it starts, to x86-64-v2.
 
-    Call it before any of them is loaded; it raises nothing. ``LEVKAS_INSTRUCTIONS=native`` leaves them as they are.
+    ``LEVKAS_INSTRUCTIONS=native`` leaves them as they are. False then, on other processors than x86-64, and where NumPy or
+    OpenCV are loaded already: they do not choose again.
 
-    Returns
-    -------
-    held : bool
-        False where the variable says so, on other processors than x86-64, and where NumPy or OpenCV are loaded already:
-        they do not choose again.
-
-    Examples
-    --------
     >>> import numpy
     >>> hold_instructions()
     False
     """
     native = os.environ.get(INSTRUCTIONS, "").strip() == "native"
-    other = platform.machine().lower() not in ("x86_64", "amd64")
-    if native or other or {"numpy", "cv2"} & sys.modules.keys():
+    ours = platform.machine().lower() in ("x86_64", "amd64")
+    if native or not ours or {"numpy", "cv2"} & sys.modules.keys():
         return False
     os.environ.update(_held())
     return True
@@ -90,7 +83,7 @@ def describe_instructions() -> dict[str, str]:
 @cache
 def instructions_in_use() -> str:
     """Return in one line what the libraries compute with; loads them only where they are not held."""
-    if all(os.environ.get(name) == value for name, value in _held().items()):
+    if _held().items() <= os.environ.items():
         return BASELINE
     found = describe_instructions()
     if found["level"] == BASELINE:

@@ -8,7 +8,7 @@ import threading
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,12 +16,16 @@ if TYPE_CHECKING:
 THREADS, TILE, MEMORY = "LEVKAS_THREADS", "LEVKAS_TILE", "LEVKAS_MEMORY"
 
 
-def give_back_memory() -> None:
-    """Return freed memory to the system, where the C library keeps it for itself (glibc does)."""
+def of_libc(name: str) -> Any:
+    """Return a function of the C library, None where that has none of the name."""
     import ctypes
 
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
-    if trim is not None:
+    return getattr(ctypes.CDLL(None, use_errno=True), name, None) if os.name == "posix" else None
+
+
+def give_back_memory() -> None:
+    """Return freed memory to the system, where the C library keeps it for itself (glibc does)."""
+    if (trim := of_libc("malloc_trim")) is not None:
         trim(0)
 
 
@@ -31,10 +35,7 @@ def keep_memory() -> None:
     By itself glibc keeps it thread by thread: what one has freed another cannot use, and takes from the system
     for more, which has to be zeroed. One arena makes the peak of a full-size build 2.2 instead of 2.7 GB.
     """
-    import ctypes
-
-    tune = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
-    if tune is not None:
+    if (tune := of_libc("mallopt")) is not None:
         for option, value in (
             (M_TRIM_THRESHOLD, 64 << 20), (M_MMAP_THRESHOLD, 32 << 20), (M_ARENA_MAX, 1)
         ):  # fmt: skip
@@ -51,8 +52,7 @@ def count_threads(most: int | None = None) -> int:
     >>> count_threads(most=1)
     1
     """
-    stated = os.environ.get(THREADS, "").strip()
-    count = int(stated) if stated.isdecimal() and int(stated) > 0 else _processors()
+    count = _stated(THREADS) or _processors()
     return count if most is None else min(count, most)
 
 
@@ -64,25 +64,24 @@ def tile_rows(chosen: int, whole: int) -> int:
     >>> tile_rows(256, 100)
     100
     """
-    stated = os.environ.get(TILE, "").strip()
-    rows = int(stated) if stated.isdecimal() and int(stated) > 0 else chosen
-    return max(1, whole if stated == "whole" else min(rows, whole))
+    if os.environ.get(TILE, "").strip() == "whole":
+        return max(1, whole)
+    return max(1, min(_stated(TILE) or chosen, whole))
 
 
-def _processors() -> int:
-    """Processors that this process may use, those of a container where one limits them."""
-    count = os.cpu_count() or 1
-    if hasattr(os, "sched_getaffinity"):
-        count = len(os.sched_getaffinity(0))
-    return max(1, min(count, _quota() or count))
+def _stated(variable: str) -> int:
+    text = os.environ.get(variable, "").strip()
+    return int(text) if text.isdecimal() else 0
 
 
 @cache
-def _quota() -> int | None:
+def _processors() -> int:
+    """Processors that this process may use, those of a container where one limits them."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     quota = _text("/sys/fs/cgroup/cpu.max").split()
     if len(quota) == 2 and quota[0].isdigit():
-        return max(1, round(int(quota[0]) / int(quota[1])))
-    return None
+        return max(1, min(count or 1, round(int(quota[0]) / int(quota[1]))))
+    return count or 1
 
 
 _alone = threading.RLock()

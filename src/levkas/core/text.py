@@ -34,21 +34,17 @@ KINDS = (
 CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
 """Characters that no text of a person has: controls but tabulator and line ends, halves of characters."""
 _BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
-WRITE_AGAIN = "Write the file again with its original program."
 
 
 class TextRefused(Refused):
     """A file of text that cannot be read, is too large, or is not of its format."""
 
 
-def _unreadable(name: str, file: Any, found: str, expected: str, fix: str) -> TextRefused:
-    message, file = f"{name} cannot be read", None if file is None else str(file)
-    return TextRefused(Problem("E_UNREADABLE", message, file, None, found, expected, fix))
-
-
-def _too_large(what: str, file: Any, found: str, expected: str, fix: str) -> TextRefused:
+def _refused(
+    message: str, file: Any, found: str, expected: str, fix: str, code: str = "E_UNREADABLE"
+) -> TextRefused:
     file = None if file is None else str(file)
-    return TextRefused(Problem("E_SIZE", what, file, None, found, f"at most {expected}", fix))
+    return TextRefused(Problem(code, message, file, None, found, expected, fix))
 
 
 def counted(number: int, noun: str) -> str:
@@ -111,7 +107,7 @@ def check_file(path: Path, expected: str) -> None:
     """Refuse what is no plain file: opening a pipe waits for ever, a device has no end."""
     if (found := what_stands_at(path)) != "a file":
         fix = "Add the file, or correct its name."
-        raise _unreadable(path.name, path, found, expected, fix)
+        raise _refused(f"{path.name} cannot be read", path, found, expected, fix)
 
 
 def missing_path(path: Path, what: str = "folder") -> Problem | None:
@@ -145,7 +141,7 @@ def read_text(path: Path, expected: str, *, most: int = LARGEST_TABLE) -> str:
             return read_stream(file, path.name, expected, file=str(path), most=most)
     except OSError as error:
         found, fix = error.strerror or str(error), "Make it readable, or copy it again."
-        raise _unreadable(path.name, path, found, expected, fix) from error
+        raise _refused(f"{path.name} cannot be read", path, found, expected, fix) from error
 
 
 def read_stream(
@@ -161,61 +157,59 @@ def read_stream(
     if len(data) > most:
         found, fix = f"over {most >> 20} MiB", "Name the correct file, or remove foreign content."
         message = f"{name}: the file is too large"
-        raise _too_large(message, file, found, f"{most >> 20} MiB", fix)
+        raise _refused(message, file, found, f"at most {most >> 20} MiB", fix, "E_SIZE")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         found = f"a byte that is not UTF-8 in line {1 + data.count(10, 0, error.start)}"
         fix = "Save it again as text in UTF-8."
-        raise _unreadable(name, file, found, expected, fix) from error
+        raise _refused(f"{name} cannot be read", file, found, expected, fix) from error
 
 
 # --- JSON -------------------------------------------------------------------------------------
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object of at most 16 MiB, without NaN, infinities or a key twice, nested no deeper than `DEEPEST`."""
+    """Read a JSON object of at most 16 MiB as `parse_json` does; raises TextRefused."""
     text = read_text(path, "a JSON table in UTF-8")
-    if too_much := _too_much(text):
-        what, found, expected = too_much
-        raise _too_large(f"{path.name}: it {what}", path, found, expected, WRITE_AGAIN)
     try:
         record = parse_json(text)
         if not isinstance(record, dict):
             raise ValueError("it is not a table of keys and values")
-    except (ValueError, RecursionError) as error:
-        expected = "a JSON table, each key once, finite numbers"
-        raise _unreadable(path.name, path, str(error)[:200], expected, WRITE_AGAIN) from error
+    except ValueError as error:
+        message, expected = (
+            f"{path.name} cannot be read",
+            "a JSON table, each key once, finite numbers",
+        )
+        fix = "Write the file again with its original program."
+        raise _refused(message, path, str(error)[:200], expected, fix) from error
     return record
 
 
 def parse_json(text: str) -> Any:
-    """Parse JSON without NaN, infinities, halves of characters or a key twice; raises ValueError.
+    """Parse JSON of an unknown origin: without NaN, infinities, halves of characters or a key twice, nested no deeper than `DEEPEST`.
+
+    Raises ValueError.
 
     >>> parse_json('{"a": 1, "a": 2}')
     Traceback (most recent call last):
     ValueError: the key 'a' occurs twice
     """
+    depth = 0
+    for number, token in enumerate(_BRACKET.finditer(text)):
+        if number == MOST_TOKENS:
+            raise ValueError(f"it holds over {MOST_TOKENS} texts and brackets")
+        if (letter := token[0][0]) != '"':
+            depth += 1 if letter in "[{" else -1
+            if depth > DEEPEST:
+                raise ValueError(f"it is nested over {DEEPEST} levels deep")
     record = json.loads(
         text, object_pairs_hook=_unique, parse_constant=_finite, parse_float=_finite
     )
-    if r"\u" in text:  # halves of characters may come as escapes; those of a pair are one
-        try:
-            json.dumps(record, ensure_ascii=False).encode()
-        except UnicodeEncodeError:
-            raise ValueError("it holds half of a character (a lone surrogate)") from None
+    # Halves of characters may come as escapes; those of a pair are one.
+    if r"\u" in text and re.search("[\ud800-\udfff]", json.dumps(record, ensure_ascii=False)):
+        raise ValueError("it holds half of a character (a lone surrogate)")
     return record
-
-
-def parse_bounded(text: str) -> Any:
-    """Parse JSON of an unknown origin, such as a tag of a TIFF, within the bounds of `read_json`; raises ValueError."""
-    if too_much := _too_much(text):
-        what, found, expected = too_much
-        raise ValueError(f"it {what}: {found}, at most {expected}")
-    try:
-        return parse_json(text)
-    except RecursionError as error:
-        raise ValueError(str(error)) from error
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -232,16 +226,3 @@ def _finite(text: str) -> float:
     if not isfinite(value):
         raise ValueError(f"{text[:40]} is not a finite number")
     return value
-
-
-def _too_much(text: str) -> tuple[str, str, str] | None:
-    """Return what is too much for the parser, what was found of it, and how much may be; None where all fits."""
-    depth = 0
-    for number, token in enumerate(_BRACKET.finditer(text)):
-        if number == MOST_TOKENS:
-            return "holds too much", f"over {number}", f"{number} texts and brackets"
-        if (letter := token[0][0]) != '"':
-            depth += 1 if letter in "[{" else -1
-            if depth > DEEPEST:
-                return "is nested too deeply", f"over {DEEPEST} levels", f"{DEEPEST} levels"
-    return None

@@ -50,8 +50,6 @@ def each(work: Callable[..., Made], *items: Iterable[Any]) -> list[Made]:
 
     Of several exceptions the one of the first item that has one is raised, once all threads are done.
 
-    Examples
-    --------
     >>> each(pow, [-2, 3], [2, 3])
     [4, 27]
     """
@@ -78,8 +76,6 @@ def each(work: Callable[..., Made], *items: Iterable[Any]) -> list[Made]:
 def made_ahead(items: Iterable[Made]) -> Iterator[Made]:
     """Yield items in their order, each made by a thread while the one before is used; within `each`, where others have work, as they come.
 
-    Examples
-    --------
     >>> list(made_ahead(n * n for n in range(3)))
     [0, 1, 4]
     """

@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.core.cube import Band, band_labels
 from levkas.core.problems import Refused
-from levkas.core.text import parse_bounded, read_text
+from levkas.core.text import parse_json, read_text
 from levkas.database.layout import KINDS, LayerId
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import TiffPages, open_pages
@@ -41,7 +41,7 @@ def describe_pages(pages: TiffPages) -> Described:
     text = decode_text(str(next((t for t in pages.tags(METADATA) if t), "")))
     centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), None)
     try:
-        record = parse_bounded(text) if text else {}
+        record = parse_json(text) if text else {}
     except ValueError:
         record = None
     if not isinstance(record, dict):
