@@ -81,25 +81,21 @@ ROUNDS, MOST_ROUNDS = 2, 8
 CONVERGED = 0.1
 """In px of the grid: a map that moves less, the median over windows, has converged."""
 LARGE = 600_000
-"""In px of the grid: frames larger than this make the first round on a grid twice as coarse: bands are pixels apart
-there, and a coarser grid brings them near at a quarter of the cost."""
+"""In px of the grid: larger frames make the first round on a grid twice as coarse, at a quarter of the cost."""
 LEAST_CELLS = 5
 """Cells of windows across the coarsest grid."""
 SHARPER = 8.0
-"""Factor by which the total information must grow on a finer grid that is taken although its model fits worse: windows
-are four times as many there, and have to be twice as certain."""
+"""Factor by which the total information must grow on a finer grid that is taken although its model fits worse."""
 FINEST_SAMPLING, PLAIN_SAMPLING = 0.45, 0.9
-"""In native px per px of the grid: of the finest grid, which shows most of a picture that it oversamples twice, and of the grid on which a
-map is judged, about as fine as the picture."""
+"""In native px per px of the finest grid, and of the grid on which a map is judged, about as fine as the picture."""
 SURE_COVERAGE = 0.5
 """Share of cells that windows confirm; below, blocks are compared by their outlines too."""
 LINE_BANDS, NEARLY = 8, 0.9
 """Bands of which the mean is looked at for displaced lines, and their explained share over that of the best band."""
 LINE_ROUNDS = 3
-"""Of putting lines right and registering again, at most: under ±1.5 px a first map is off where windows average over
-lines, by less in the second, and the third changes little."""
+"""Of putting lines right and registering again, at most: under ±1.5 px the third changes little."""
 COARSE_SCALES = (1 / 30, INITIAL.scales[1])
-"""Native px per reference px of maps of one scan: 4 to 20 px of a photograph lie in one of theirs, and half as many again."""
+"""Native px per reference px of maps of one scan."""
 
 
 @dataclass(frozen=True)
@@ -143,10 +139,9 @@ class SensorTask:
         return float(self.reference.predictor(step).cell * step)
 
     def resample(self, band: BandImage, transform: Transform, step: int) -> np.ndarray:
-        """Return a band on the grid of `step` reference px; blocks of about one reference px.
+        """Return a band on the grid of `step` reference px.
 
-        A band of a mosaic is taken at its own sites. What else is between them has detail of other bands, which lies where these
-        have it; and blocks that all begin at one sensel of the period lie otherwise than their middles.
+        A mosaic's band is taken at its own sites: between them is detail of other bands, and blocks that begin at one sensel lie otherwise.
         """
         size = (self.reference.shape[0] // step, self.reference.shape[1] // step)
         scale, sites, image = self.scale, band.sites, self.images[band.label]
@@ -158,11 +153,7 @@ class SensorTask:
         return resample_band(image, transform, size, step, count=self._block(scale, step))
 
     def _block(self, scale: float, step: int) -> int:
-        """Return the side of the blocks that are averaged for a grid, px of which `scale` make a reference px.
-
-        Where the finest grid is coarser than the reference, since a px of the band is, they are about one px of the grid: few of
-        the band, often one.
-        """
+        """Return the side of the blocks that are averaged, about one reference px, or px of the grid where all grids are coarser than that."""
         if self.step(FINEST_SAMPLING) > 1:
             return max(1, round(scale * step / 1.2))
         return max(1, round(scale / 1.2)) * step
@@ -179,17 +170,12 @@ class SensorTask:
         return each(windows_of, bands, own)
 
     def measure_lines(self, found: RefinedMap) -> LineDisplacement | None:
-        """Measure how lines of a picture lie beside the map: of the best band, else of the mean of all nearly as good.
-
-        A scanner exposes all bands of a line at once, so that their mean shows more; a filter camera does not.
-        """
+        """Measure how lines lie beside the map, of the best band, else of the mean of all nearly as good: a scanner exposes them at once."""
         explained = np.array([windows.r2.mean() for windows in found.windows])
         best = int(explained.argmax())
         alike = np.flatnonzero(explained >= NEARLY * explained[best]).tolist()
-        step, whole = (
-            self.step(PLAIN_SAMPLING),
-            Composed(found.chromatic.transform(best), found.base),
-        )
+        whole = Composed(found.chromatic.transform(best), found.base)
+        step = self.step(PLAIN_SAMPLING)
         predictors = self.reference.predictor(step).images
         results: list[LineDisplacement] = []
         for among in ([best], evenly_spread(alike, LINE_BANDS)):
@@ -200,19 +186,14 @@ class SensorTask:
         return max(results, key=lambda one: one.deviations, default=None)
 
     def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
-        """Return whether a band sees light that the reference sees too.
-
-        Its wavelength says so. Where it has none, two pictures in colours do; one picture stored as three alike is of
-        unknown light.
-        """
+        """Return whether a band sees light that the reference sees too: by its wavelength; without one, two pictures in colours do."""
         if self.one_scan:
             return "other"
         if np.isfinite(band.wavelength):
             return "same" if self.reference.covers(band.wavelength) else "other"
         among = evenly_spread(self.bands, 3) if self.reference.has_colours else []
-        return (
-            "same" if has_colours([self.resample(b, transform, step) for b in among]) else "unknown"
-        )
+        shown = [self.resample(one, transform, step) for one in among]
+        return "same" if has_colours(shown) else "unknown"
 
 
 @dataclass(frozen=True)
@@ -221,21 +202,15 @@ class RefinedMap:
 
     base: Transform
     """Reference px → native px, without the chromatic aberration of single bands."""
-    step: int
     band: str
-    """`step`, `band`: reference px per px of the grid on which it was judged, and by which band."""
+    """By which it was judged."""
     chromatic: ChromaticShifts
     selected: SelectedModel
     windows: list[WindowShifts]
     """Shifts of the last round, before its correction; one a band."""
-    test: PermutationTest
-    rounds: int
-    converged: bool
-    moved: float
-    light: Light
     numbers: dict[str, Any]
+    """Fields of `Evidence`."""
     checks: CheckWindows
-    """`test`, …, `checks`: as `Evidence` has them."""
 
 
 @dataclass(frozen=True)
@@ -287,9 +262,8 @@ def register_sensor(
 ) -> RegisteredSensor:
     """Register the bands of one sensor of another camera to the reference.
 
-    `images` are square roots of the bands that are measured, others follow from them; `ours` and `theirs` key points of the
-    reference and of the sensor, of which `begin` returns the initial transform, or None. Pairs by hand start the search where it
-    does not, and weigh as a hand can point. Raises RegistrationRefused: ``E_MATCHES``, ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``.
+    `images` are square roots of the bands that are measured; of `ours` and `theirs`, key points, `begin` returns the initial transform,
+    else pairs by hand do. Raises RegistrationRefused: ``E_MATCHES``, ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``.
     """
     initial = begin(ours, theirs)
     if by_hand:
@@ -325,9 +299,7 @@ def register_sensor(
     )  # fmt: skip
     return RegisteredSensor(
         name=sensor,
-        transforms={
-            label: Composed(chromatic.transform(i), whole) for i, label in enumerate(labels)
-        },
+        transforms={name: Composed(chromatic.transform(i), whole) for i, name in enumerate(labels)},
         chromatic=chromatic,
         windows=dict(zip([band.label for band in task.bands], found.windows, strict=True)),
         sigma=sigma,
@@ -355,13 +327,7 @@ def _evidence(
         terms=selected.coefficients,
         held_out_px=selected.held_out_error,
         window_sigma_px=selected.window_sigma,
-        step=found.step,
         scales=task.scales if task.one_scan else SCALES,
-        share_above_chance=found.test.share,
-        rounds=found.rounds,
-        converged=found.converged,
-        moved=found.moved,
-        light=found.light,
         outlines=outlines,
         line_displacement=None if lines is None else lines.to_dict(),
         line_correction=None if correction is None else correction.to_dict(),
@@ -372,10 +338,9 @@ def _evidence(
 def _put_lines_right(
     task: SensorTask, found: RefinedMap
 ) -> tuple[SensorTask, RefinedMap, LineDisplacement | None, LineCorrection | None]:
-    """Register a picture whose lines are displaced again, put right line by line, for as long as less of it is left.
+    """Register a picture whose lines are displaced again, put right, for as long as less of it is left; of rows and columns those displaced more.
 
-    Of rows and columns that are displaced both, those that are displaced more are put right; the others are named. Returns the task with the
-    pictures put right, its map, how lines lie beside that, and the correction; None without one.
+    Returns the task with the pictures put right, its map, how lines lie beside that, and the correction; None without one.
     """
     whole, now = None, task
     lines = task.measure_lines(found)
@@ -412,10 +377,11 @@ def refine_map(task: SensorTask) -> RefinedMap:
     numbers, checks = verify(
         predictors, image, step, whole, task.mask, valid, test.predicted, task.cell(judged)
     )
+    light = task.light_of(band, whole, judged)
+    numbers |= way.course | {"step": judged, "share_above_chance": test.share, "light": light}
     return RefinedMap(
-        way.base, judged, band.label, way.chromatic, way.selected, way.windows, test, way.rounds,
-        way.converged, way.moved, task.light_of(band, whole, judged), numbers, checks,
-    )  # fmt: skip
+        way.base, band.label, way.chromatic, way.selected, way.windows, numbers, checks
+    )
 
 
 class _Refinement:
@@ -423,9 +389,8 @@ class _Refinement:
 
     selected: SelectedModel
     windows: list[WindowShifts]
-    rounds: int
-    converged: bool
-    moved: float
+    course: dict[str, Any]
+    """``rounds``, whether they ``converged``, and by how much the last one ``moved`` the map."""
 
     def __init__(self, task: SensorTask) -> None:
         self.task, self.base = task, task.initial.transform
@@ -433,10 +398,7 @@ class _Refinement:
         self.chromatic = zero_displacement(len(task.bands), *frame_centre(task.reference.shape))
 
     def approach(self) -> None:
-        """Refine the base map from coarse to fine; stop at the grid that shows most.
-
-        Fine grids of oversampled or noisy pictures hold less information than coarser ones, which average.
-        """
+        """Refine the base map from coarse to fine; stop at the grid that shows most: fine grids of noisy pictures hold less."""
         task, finest = self.task, self.task.step(FINEST_SAMPLING)
         bands = evenly_spread(task.bands, COARSE_BANDS)
         identity = [Affine.identity()] * len(bands)
@@ -472,9 +434,9 @@ class _Refinement:
                     self.windows, self.chromatic, wavelengths, common=common
                 )
             shift = float(np.sqrt(np.median((moved**2).sum(1))))
-            self.rounds, self.moved = number, round(shift, 5)
-            self.converged = shift < CONVERGED * self.step
-            if number >= len(planned) and self.converged:
+            converged = shift < CONVERGED * self.step
+            self.course = {"rounds": number, "converged": converged, "moved": round(shift, 5)}
+            if number >= len(planned) and converged:
                 return
 
     def exclude_covered(self, best: int, judged: int) -> PermutationTest:
@@ -494,12 +456,8 @@ class _Refinement:
         return self.task.measure_shifts(self.task.bands, own, self.base, step)
 
     def _fit(
-        self,
-        windows: list[WindowShifts],
-        step: int,
-        terms: SelectionTerms,
-        among: np.ndarray | None = None,
-    ) -> SelectedModel:
+        self, windows: list[WindowShifts], step: int, terms: SelectionTerms, among: np.ndarray | None = None,
+    ) -> SelectedModel:  # fmt: skip
         by_hand, cell = self.task.by_hand.fixed, self.task.cell(step)
         return fit_base(self.base, windows, by_hand, step, cell, terms, among)
 
@@ -523,13 +481,9 @@ class _Refinement:
 
 
 def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]) -> bool:
-    """Return whether a finer grid has less information, by how windows scatter about the model.
-
-    Not where neighbouring windows have that much more on it: then it is the model that lacks a term.
-    """
-    if now[1] >= before[1]:
-        return False
-    return now[0] is None or before[0] is None or now[0] < SHARPER * before[0]
+    """Return whether a finer grid has less information about the model, and neighbouring windows have not that much more: a term lacks then."""
+    sharper = now[0] is not None and before[0] is not None and now[0] >= SHARPER * before[0]
+    return now[1] < before[1] and not sharper
 
 
 def evenly_spread(items: Sequence[Item], most: int) -> list[Item]:

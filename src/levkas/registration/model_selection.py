@@ -1,10 +1,9 @@
 """Models of the base map, and which of them is taken: held-out blocks, and the rule of one standard error.
 
-From a similarity to a cubic, with a lens, a spline and a step in depth. A model is fitted to the shifts of
-windows, each with its own 2 x 2 information, by re-weighted least squares. It is judged on spatial blocks
-that it was not fitted to ([roberts2017]_): neighbouring windows err alike, so that single windows left out
-are no independent evidence. A richer model is taken only where it predicts those blocks better by more than the standard
-error of that gain, from block to block ([hastie2009]_, section 7.10).
+From a similarity to a cubic, with a lens, a spline and a step in depth, fitted to the shifts of windows, each with its own 2 x 2
+information, by re-weighted least squares. Neighbouring windows err alike: a model is judged on spatial blocks that it was not fitted to
+([roberts2017]_). A richer one is taken only where it predicts those better by more than the standard error of that gain, from block
+to block ([hastie2009]_, section 7.10).
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from levkas.geometry.transforms import Transform, solve_2x2
-from levkas.registration.depth_step import DepthStep, find_depth_steps, fit_with_depth_step
+from levkas.registration.depth_step import find_depth_steps, fit_with_depth_step
 from levkas.registration.models import (
     Observations,
     fit_polynomial,
@@ -33,13 +32,12 @@ ROUNDS = 5
 MOST_JUDGED = 2000
 """Observations on which models are compared; all of them determine the one that is taken."""
 EVERY, BLOCKS, LEAST_BLOCK = 3, 8, 3.0
-"""A fold is every so many-th row and column of blocks; blocks across the longer side; least side of a block, in lengths within which
-windows share pixels."""
+"""A fold is every so many-th row and column of blocks; blocks across the longer side; least side of one, in lengths within which windows
+share pixels."""
 STANDARD_ERRORS = 1.0
 """By which a richer model has to predict the blocks better."""
 NEAR, FAR = 0.1, 1.0
-"""Models whose held-out error is up to so much, as a share, above the best may be right too: where windows were measured, and where
-none were."""
+"""Models of a held-out error up to this share above the best may be right too: where windows were measured, and where none were."""
 LEAST_SPLINE, LEAST_STEP = 150, 120
 """Observations from which a spline, and a step in depth, are tried."""
 STIFFNESS = (1e-1, 1e-2)
@@ -58,10 +56,6 @@ class MapModel(NamedTuple):
     plain: MapModel | None = None
     """The same without a step in depth, where it has one."""
 
-    def stepped(self) -> MapModel:
-        """Return the same with a step in depth."""
-        return self._replace(name=f"{self.name}+depth_step", plain=self)
-
 
 #: From the stiffest to the most yielding; under the quintic observations are weighted, so that no stiffer one declares its misfit outliers.
 MODELS = (
@@ -78,14 +72,12 @@ class SelectionTerms:
     """Models that are tried, and the lengths on which windows are compared."""
 
     spacing: float = 0.0
-    """In reference px: of the spline's knots."""
     apart: float = 0.0
-    """In reference px: windows up to so far from one another, along both axes, share pixels and err alike."""
     cell: float = 0.0
-    """In reference px: side of the cells of the windows."""
+    """In reference px: between the spline's knots; up to which, along both axes, windows share pixels and err alike; side of their cells."""
     coarse: bool = False
     stiff: bool = False
-    """`coarse`, `stiff`: neither spline nor step in depth, which are for finer grids; no cubic, which is wild where nothing was observed."""
+    """Neither spline nor step in depth, which are for finer grids; no cubic either, which is wild where nothing was observed."""
     depth_step: bool = False
     """Whether a step in depth may be looked for."""
     fixed: int = 0
@@ -120,12 +112,12 @@ class SelectedModel:
     scores: dict[str, float]
     """Held-out error of each model by name: root mean square in reference px under the weights."""
     observations: Observations
-    """As fitted: with the common variance floor and robust weights in their information."""
+    """With the common variance floor and robust weights in their information."""
     weights: np.ndarray
     """(n,). Robust weight of each observation, 0..1."""
     terms: SelectionTerms
     comparison: ModelComparison | None = field(default=None, repr=False)
-    """None where a given map stayed as it was, and on coarse grids."""
+    """None on coarse grids."""
 
     @property
     def held_out_error(self) -> float:
@@ -161,10 +153,9 @@ class SelectedModel:
     def sigma(self, points: np.ndarray) -> np.ndarray:
         """Return one standard deviation of either axis at `points`, (n,), reference px.
 
-        Delete-a-group jackknife over the folds ([kott2001]_): it sees errors that whole blocks share,
-        which residuals of single windows do not. Without a share f of the information, a map moves by
-        f / (1 - f) of its variance. Where windows do not decide which model is right, the spread between
-        models is added ([buckland1997]_): a stiff model is steady where it is wrong.
+        Delete-a-group jackknife over the folds ([kott2001]_), which sees errors that whole blocks share: without a share f of the
+        information, a map moves by f / (1 - f) of its variance. Where windows do not decide which model is right, the spread between
+        models is added ([buckland1997]_): a stiff one is steady where it is wrong.
         """
         if not self.folds:
             return np.full(len(points), np.nan)
@@ -221,7 +212,7 @@ def select_model(
 
 
 def scattered_information(observations: Observations, terms: SelectionTerms) -> float:
-    """Return the `total_information` of the model that would be selected: it is the same for all of them."""
+    """Return the `total_information` of any model that would be selected."""
     return _total(_reweight(observations, terms.yielding(len(observations)), terms.fixed)[0])
 
 
@@ -255,10 +246,7 @@ class ModelComparison:
         return {one.model.name: one.score for one in self.candidates}
 
     def add(self, model: MapModel, fits: Sequence[Fit]) -> None:
-        """Try one more model, richer than those before, and take it where it is better by more than the standard error of that.
-
-        Of several `fits`, the one is used that predicts blocks best.
-        """
+        """Try one more model, by the best of its `fits`, and take it where it is better by more than the standard error of that."""
         tried = [self._try(model._replace(fit=fit)) for fit in fits]
         if not tried:
             return
@@ -276,11 +264,8 @@ class ModelComparison:
                 here = self._folds == fold
                 if here.any():
                     missed[here] = _squares(self._judged.part(here), model.fit(rest))
-        return Candidate(model, missed, self._error(missed))
-
-    def _error(self, missed: np.ndarray) -> float:
         total = float(self._information.sum())
-        return float(np.sqrt(missed.sum() / total)) if total else np.inf
+        return Candidate(model, missed, float(np.sqrt(missed.sum() / total)) if total else np.inf)
 
     def _gain(self, before: np.ndarray, after: np.ndarray) -> float:
         """Return by how many standard errors, from block to block, one model misses less than another."""
@@ -324,21 +309,22 @@ def _add_bending(
     steps = []
     if terms.depth_step and len(weighted) >= LEAST_STEP:
         steps = find_depth_steps(weighted, terms.cell)
+
+    def add_stepped(model: MapModel) -> None:
+        fits = [partial(fit_with_depth_step, step=step, fit=model.fit) for step in steps]
+        comparison.add(model._replace(name=f"{model.name}+depth_step", plain=model), fits)
+
     for model in [one.model for one in comparison.candidates[-2:]]:
-        comparison.add(model.stepped(), [_beside(step, model.fit) for step in steps])
+        add_stepped(model)
     best = comparison.best.model
     under = best.plain or best
     for price in STIFFNESS:
-        model = under._replace(name=f"{under.name}+spline({price:g})")
         fit = partial(_fit_bent, under=under.fit, spacing=terms.spacing, price=price)
+        model = under._replace(name=f"{under.name}+spline({price:g})", fit=fit)
         if best.plain is None:
             comparison.add(model, [fit])
         else:
-            comparison.add(model.stepped(), [_beside(step, fit) for step in steps])
-
-
-def _beside(step: DepthStep, fit: Fit) -> Fit:
-    return partial(fit_with_depth_step, step=step, fit=fit)
+            add_stepped(model)
 
 
 def _fit_bent(observations: Observations, *, under: Fit, spacing: float, price: float) -> Transform:
@@ -361,10 +347,7 @@ def _reweight(observations: Observations, fit: Fit, fixed: int) -> tuple[Observa
 def spatial_folds(
     points: np.ndarray, apart: float = 0.0, over: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the fold and the block of each point, (n,), and the folds, (9, n), to which windows within `apart` of it belong, by their numbers.
-
-    Blocks lie over all of `over`, `points` without it.
-    """
+    """Return the fold and the block of each point, (n,), by number, and the folds, (9, n), of windows within `apart`; blocks lie over `over`."""
     over = points if over is None else over
     low, high = over.min(0), over.max(0)
     size = max(float((high - low).max()) / BLOCKS, LEAST_BLOCK * apart, 1e-9)

@@ -1,10 +1,8 @@
 """Predictors: principal components of the reference's bands, from which any band is predicted.
 
-A painting has few pigments in any one place, so that a handful of images span what every band
-shows there. A target band is predicted as their linear combination, with gains of its own in each
-window: near infrared is predicted from the visible as well as the overlap of pigments allows.
-Paint is mixed neither as light is added nor as absorption is: images of the square root of
-reflectance are predicted from combinations of reflectance and of its logarithm.
+A painting has few pigments in any one place: a handful of images span what every band shows there, and a band is their linear combination,
+with gains of its own in each window. Paint is mixed neither as light is added nor as absorption is: images of the square root of reflectance
+are predicted from combinations of reflectance and of its logarithm.
 """
 
 from __future__ import annotations
@@ -63,17 +61,10 @@ class PredictorBasis:
     """(k,). Images of one group are principal images of one stack."""
 
     def high_passed(self) -> PredictorBasis:
-        """Return the images without their slow parts, blurred copies of the first ones appended.
-
-        A combination of an image and its blurred copy is as sharp or as soft as the target is.
-        """
-        count = len(self.images)
-        soft = min(BLURRED, count)
-        images = np.empty((count + soft, *self.images.shape[1:]), np.float32)
-        for i, image in enumerate(self.images):
-            images[i] = highpass(image)
-        for i in range(soft):
-            images[count + i] = blur(blur(images[i]))
+        """Return the images without their slow parts, and blurred copies of the first: combined, they are as soft as the target."""
+        soft = min(BLURRED, len(self.images))
+        sharp = np.stack([highpass(image) for image in self.images])
+        images = np.concatenate([sharp, [blur(blur(image)) for image in sharp[:soft]]])
         return PredictorBasis(
             images,
             np.concatenate([self.loadings, self.loadings[:BLURRED]]),
@@ -114,11 +105,7 @@ def principal_components(
 def _mix(
     start: int, stop: int, stack: np.ndarray, linear: np.ndarray, bent: np.ndarray, out: np.ndarray
 ) -> None:
-    """Mix the bands of blocks of rows; what a mean adds is slow and goes with the slow part.
-
-    The blocks are the same for any number of threads: the last bits of a product of matrices depend on
-    their width.
-    """
+    """Mix the bands of blocks of rows, the same for any number of threads: last bits of a product of matrices depend on their width."""
     for block in range(start, stop):
         rows = slice(block * LINES, min((block + 1) * LINES, stack.shape[1]))
         part = stack[:, rows].reshape(len(stack), -1)
@@ -144,13 +131,8 @@ def _principal(rough: np.ndarray, count: int) -> np.ndarray:
 
 
 def resample_band(
-    image: np.ndarray,
-    transform: Transform,
-    size: tuple[int, int],
-    step: int,
-    *,
-    count: int | None = None,
-) -> np.ndarray:
+    image: np.ndarray, transform: Transform, size: tuple[int, int], step: int, *, count: int | None = None,
+) -> np.ndarray:  # fmt: skip
     """Warp one band on to a grid of `step` reference px, averaged over blocks of `count` px of the target, by default `step`."""
     factor = step if count is None else count
     if factor == 1:
@@ -204,7 +186,7 @@ def has_colours(bands: Sequence[np.ndarray]) -> bool:
 
 
 class ReferenceStack:
-    """Bands of the reference in its frame, (bands, h, w) by `sqrt_transform`, NaN where invalid, and predictors made of them at any step; wavelengths in nm, NaN where not known."""
+    """Predictors at any step of bands of the reference, (bands, h, w) by `sqrt_transform`, NaN where invalid; wavelengths, nm, NaN where not known."""
 
     def __init__(self, stack: np.ndarray, wavelengths: Sequence[float] = ()) -> None:
         self.palette = principal_components(stack)
@@ -250,29 +232,22 @@ class ReferenceStack:
 class PreparedReference:
     """Reference camera with its predictors and key points, prepared once for all cameras registered to it.
 
-    `band` is the label of the band that defines reference px, `region`, (x, y, width, height), that of the published frame: nothing outside
-    is used. The object lies in `area`, where that is known already, else within `outline`, (n, 2) corners; without both it is segmented
-    from an even ground.
+    The `band` of that label defines reference px; outside `region`, (x, y, width, height), nothing is used. The object lies in `area`, else
+    within `outline`, (n, 2) corners, else it is segmented from an even ground.
     """
 
     def __init__(
-        self,
-        bands: Sequence[BandImage],
-        band: str,
-        region: Sequence[float] | None = None,
-        outline: Corners | None = None,
-        area: ObjectArea | None = None,
-    ) -> None:
+        self, bands: Sequence[BandImage], band: str, region: Sequence[float] | None = None,
+        outline: Corners | None = None, area: ObjectArea | None = None,
+    ) -> None:  # fmt: skip
         self.anchor = next(image for image in bands if image.label == band)
         if not self.anchor.valid.any():
             raise refusal(
                 "E_VALUE",
                 f"the reference band {band} holds nothing",
-                field="campaign.reference.band",
+                field="campaign.reference.band", expected="a picture", fix="Name another band of this camera as the reference.",
                 found=f"{self.anchor.valid.size} pixels that are outside, saturated or of a bad band",
-                expected="a picture",
-                fix="Name another band of this camera as the reference.",
-            )
+            )  # fmt: skip
         self.own_bands = [image for image in bands if image.sensor == self.anchor.sensor]
         self.images = sqrt_images(bands)
         greys = grey_pictures([self.images[image.label] for image in self.own_bands])

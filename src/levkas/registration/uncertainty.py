@@ -1,9 +1,7 @@
 """Uncertainty of the position of every point: one standard deviation, band by band.
 
-Four variances are added: that of the base map by a delete-a-group jackknife over spatial folds
-([kott2001]_), the spread between models that predict held-out blocks nearly as well ([buckland1997]_), that
-of the band's chromatic shift, and that of the reference's own bands, from which this one was predicted. Lines that
-are displaced against one another (`line_displacement`) add a fifth.
+The variances of the base map, by a delete-a-group jackknife over spatial folds ([kott2001]_), between models that predict held-out blocks
+nearly as well ([buckland1997]_), of the band's chromatic shift, of the reference's own bands, and of displaced lines are added.
 """
 
 from __future__ import annotations
@@ -24,17 +22,13 @@ if TYPE_CHECKING:
 LATTICE, DECIMALS = (9, 7), 5
 """Nodes along and down the reference's frame; of sigma, reference px."""
 FOLDS_FACTOR = 1.4
-"""The variance over folds is this much too small: of few of them it is uncertain, and what errs alike over more than a
-block none of them shows. Measured on pairs of pictures (`benchmarks/verdict.py battery`)."""
+"""By which sigma over folds is too small, since no fold shows what errs alike over more than a block (`benchmarks/verdict.py battery`)."""
 BANDS_FACTOR = 1.4
-"""The same for a band against its neighbours in wavelength: with 1.4 the errors of the reference's own bands are 0.6 to 1.3 sigmas on nine
-simulated campaigns and two paintings, in the median 0.84 (`benchmarks/registration.py`)."""
+"""The same for a band against its neighbours in wavelength: errors are 0.6 to 1.3 sigmas, 0.84 in the median (`benchmarks/registration.py`)."""
 LOCAL_SHARE = 0.5
-"""Share of the variance of the folds that is taken at the place itself, the rest from the whole frame: nine folds say
-little of one place."""
+"""Share of the variance of the folds that is taken at the place itself, of which nine folds say little; the rest from the whole frame."""
 STRAY = 0.06
-"""In px a px: how far a map may stray for each px that it reaches beyond what windows confirm; measured on cut and bent
-pairs (those of `benchmarks/verdict.py classes`)."""
+"""In px a px that a map reaches beyond what windows confirm (cut and bent pairs of `benchmarks/verdict.py classes`)."""
 WINDOW_SHARE = 0.75
 """From the centre of a window to its edge, of how far apart windows lie that share no pixel: 1.5 of 2 cells."""
 NINE_OF_TEN = 2.146
@@ -59,9 +53,8 @@ def measure_sigma(
 ) -> dict[str, Sigma]:
     """Return the sigma of every band of a sensor, in the order of `chromatic`, over a frame (height, width).
 
-    `selected` is the base map, which the reference's own sensor does not have, `checks` confirm it: away from them it is known the less
-    the farther. `reference` are the sigmas of the bands that predicted these. Sigma, reference px: `coarse` of a map that outlines alone
-    confirm, where too little was measured to leave some of it out; `lines` of each axis, by lines that are displaced.
+    `selected` is the base map, if any, `checks` confirm it: the farther away, the less it is known. `reference` are the sigmas of the bands
+    that predicted these; `coarse`, reference px, of a map that outlines alone confirm; `lines`, of each axis, of lines that are displaced.
     """
     x, y, points = lattice_over(shape)
     common = np.zeros(len(points))
@@ -69,8 +62,7 @@ def measure_sigma(
         common += _of_map(selected, points)
         far = np.zeros(len(points)) if checks is None else checks.beyond(points)
         if checks is not None and far.any():
-            # Other models that saw the same and reach elsewhere count in full a window's side beyond what is checked; what none of them
-            # shows grows with the distance.
+            # Other models count in full a window's side beyond what is checked; what none of them shows grows with the distance.
             far = np.minimum(far, float(np.hypot(*shape)))
             share = np.minimum(far / checks.side, 1.0)
             common += (share * selected.sigma_beyond(points)) ** 2 + (STRAY * far) ** 2

@@ -1,11 +1,8 @@
-"""Verification of a map by evidence that it was not fitted to.
+"""Verification of a map by evidence that it was not fitted to: dense registration says little of a map that is wholly wrong.
 
-Dense registration compares windows at most a pixel or two around where a map already is: it says little of
-a map that is wholly wrong. Three things are measured of it. A *permutation test*: windows are predicted
-better than those of a picture rolled by a third of the frame, which cannot match (as ASHLAR does with
-correlations, [muhlich2022]_). *Free windows*: windows of the picture that the reference predicts for a band
-are searched 12 px around, and most of those that are found have to lie where the map puts them. *Shape*:
-the map neither folds nor stretches over what both pictures show.
+*Permutation test*: windows are predicted better than those of a picture rolled by a third of the frame, which cannot match (as ASHLAR
+does with correlations, [muhlich2022]_). *Free windows* of the picture that the reference predicts for a band are searched 12 px around, and
+most that are found have to lie where the map puts them. *Shape*: the map neither folds nor stretches over what both pictures show.
 """
 
 from __future__ import annotations
@@ -36,14 +33,13 @@ GRID = (24, 18)
 CELLS = (6, 5)
 """Cells of the object in which windows have to confirm a map."""
 FINE, FINE_LEAST = (24, 20), 8
-"""Points over the object, four along either side of a cell, at which the overlap is measured; of a cell so many have to be shown."""
+"""Points over the object, four along a side of a cell, at which the overlap is measured; of a cell so many have to be shown."""
 MOST_UNCHECKED = 4
 """Rectangles of unchecked parts that are recorded."""
 LEAST_OFF = 3
 """Windows of a cell that contradict the map alike, for the cell to be off."""
 BLOCK, RIDGE = 80, 1e-3
-"""Side, px, of the blocks in which a picture is predicted: what their gains could feign in a window of 40 px is little beside
-chance. The ridge is a share of the mean variance."""
+"""Side, px, of the blocks in which a picture is predicted: their gains feign little in a window of 40 px; share of the mean variance."""
 PARTLY = 0.8
 """Share of the windows; where fewer are predicted beyond chance, something covers the object."""
 
@@ -127,10 +123,9 @@ def verify(
 ) -> tuple[dict[str, Any], CheckWindows]:
     """Return the fields of `verdict.Evidence` that check windows and the shape of a dense map give, and the windows.
 
-    `predictors`, (k, h, w), are images of the reference on a grid of `step` reference px, `image`, (h, w), or (n, h, w) of pictures
-    with one map, the band through `transform` on the same grid, all high-passed, NaN where invalid. The object lies in `mask`,
-    reference px, and the band has values at `valid`, native px. Windows of the dense registration `predicted_at`, (n, 2), beyond
-    chance are `cell` reference px apart.
+    `predictors`, (k, h, w), are images of the reference on a grid of `step` reference px, `image`, (n, h, w), pictures with one map through
+    `transform` on the same grid, all high-passed, NaN where invalid. The object lies in `mask`, reference px, and the band has values at
+    `valid`, native px. Windows of the dense registration `predicted_at`, (n, 2), beyond chance are `cell` reference px apart.
     """
     planes = image if image.ndim == 3 else image[None]
     predicted = np.stack([predict(predictors, plane) for plane in planes])
@@ -152,7 +147,7 @@ def verify(
 
 
 def box_of(mask: np.ndarray) -> Box | None:
-    """Return the box (x, y, width, height) about the pixels of a mask, (h, w) bool; None without any."""
+    """Return the box (x, y, width, height) about the pixels of a mask; None without any."""
     rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
     if not len(rows):
         return None
@@ -245,10 +240,7 @@ class Overlap:
 
 
 def measure_shape(overlap: Overlap, mask: np.ndarray | None = None) -> dict[str, Any]:
-    """Return the fields of `verdict.Evidence` on the shape of a map: overlap, folds, scale, stretch.
-
-    The overlap is a share of the box, or of `mask`, (h, w) bool, in it, at most 1.
-    """
+    """Return the fields of `verdict.Evidence` on the shape of a map; the overlap is a share of the box, or of `mask` in it."""
     points, transform = grid_points(overlap.box, GRID), overlap.transform
     inside = overlap.shows(points)
     change = transform.jacobian(points)
@@ -289,7 +281,7 @@ def grid_points(box: Box, shape: tuple[int, int]) -> np.ndarray:
 def measure_windows(
     overlap: Overlap, checks: CheckWindows, matched_at: np.ndarray
 ) -> dict[str, Any]:
-    """Return the fields of `verdict.Evidence` on check windows: how many confirm a map, and in which cells of the box they do.
+    """Return the fields of `verdict.Evidence` on check windows.
 
     Windows of a cell that move alike confirm the map there where their median is within the tolerance, and contradict it beyond
     twice that; matches, `matched_at`, (m, 2) reference px, confirm the cell that they lie in.
@@ -340,16 +332,15 @@ def _measure_checked(box: Box, shown: np.ndarray, near: np.ndarray) -> dict[str,
     """Return how much of what both pictures show is near to what confirms the map, and the rest's rectangles."""
     from scipy import ndimage
 
-    columns, rows = FINE
     total = max(int(shown.sum()), 1)
-    cell = np.array([box[2] / columns, box[3] / rows])
+    corner, cell = np.array(box[:2]), np.array(box[2:]) / FINE
 
     def rectangle(part: tuple[slice, ...]) -> list[float]:
-        low = np.array([part[1].start, part[0].start]) * cell + np.array(box[:2])
-        high = np.array([part[1].stop, part[0].stop]) * cell + np.array(box[:2])
+        first, last = ([getattr(part[k], end) for k in (1, 0)] for end in ("start", "stop"))
+        low, high = first * cell + corner, last * cell + corner
         return [round(float(v), 1) for v in (*low, *(high - low))]
 
-    good, rest = ((mask & shown).reshape(rows, columns) for mask in (near, ~near))
+    good, rest = ((mask & shown).reshape(FINE[::-1]) for mask in (near, ~near))
     patches, count = ndimage.label(rest)
     sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
     parts = ndimage.find_objects(patches)
@@ -361,11 +352,6 @@ def _measure_checked(box: Box, shown: np.ndarray, near: np.ndarray) -> dict[str,
 
 
 def _cell_of(points: np.ndarray, box: Box) -> np.ndarray:
-    if not len(points):
-        return np.empty(0, int)
-    x, y, w, h = box
-    columns, rows = CELLS
-    column = np.floor((points[:, 0] + 0.5 - x) / w * columns).astype(int)
-    row = np.floor((points[:, 1] + 0.5 - y) / h * rows).astype(int)
-    column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)
-    return np.asarray(row * columns + column)
+    places = (np.asarray(points).reshape(-1, 2) + 0.5 - box[:2]) / box[2:] * CELLS
+    column, row = np.clip(np.floor(places).astype(int), 0, np.array(CELLS) - 1).T
+    return np.asarray(row * CELLS[0] + column)
