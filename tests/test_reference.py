@@ -16,19 +16,18 @@ PUBLISHED = {
     "register", "warp", "calibrate", "structural_similarity", "noise_variance", "Sensor",
     "Polynomial", "Homography",
 }  # fmt: skip
-SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}\n", re.M)
+RETURNS = re.compile(r"\b(returns?|yields?|find|result|whether)\b", re.I)
+RAISES = re.compile(r"\b(raises?|refused?)\b", re.I)
 
 
 def lacks(name, thing):
-    """Return what the docstring of a public name, in NumPy's form, lacks."""
+    """Return what the docstring of a public name lacks, in prose or in sections of NumPy's form."""
     text = inspect.getdoc(thing) or ""
-    parts = SECTION.split(text)
-    sections = dict(zip(parts[1::2], parts[2::2], strict=True))
     returns = inspect.isfunction(thing) and inspect.signature(thing).return_annotation
-    examples = doctest.DocTestParser().get_examples(sections.get("Examples", ""))
+    examples = doctest.DocTestParser().get_examples(text)
     has = {
-        "what it returns": returns in (False, None, "None") or {"Returns", "Yields"} & {*sections},
-        "errors": "Raises" in sections or "raises nothing" in text,
+        "what it returns": returns in (False, None, "None") or RETURNS.search(text),
+        "errors": RAISES.search(text),
         "an example with its result": any(example.want for example in examples),
         "DOI": name not in PUBLISHED or re.search(r"doi:10\.\d{4}/", text),
     }

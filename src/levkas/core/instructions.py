@@ -36,8 +36,8 @@ OPENCV_SETS = {
 def hold_instructions() -> bool:
     """Hold the libraries of this process, and of those that it starts, to x86-64-v2.
 
-    ``LEVKAS_INSTRUCTIONS=native`` leaves them as they are. False then, on other processors than x86-64, and where NumPy or
-    OpenCV are loaded already: they do not choose again.
+    It returns whether they are held, and raises nothing. ``LEVKAS_INSTRUCTIONS=native`` leaves them as they are: False then,
+    on other processors than x86-64, and where NumPy or OpenCV are loaded already: they do not choose again.
 
     >>> import numpy
     >>> hold_instructions()

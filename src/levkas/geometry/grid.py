@@ -28,34 +28,16 @@ class GridRefused(Refused):
 class Grid:
     """Pixel grid of an object, and the map from it to the reference band's native pixels.
 
-    Parameters
-    ----------
-    size : (width, height)
-        Of the reference frame, native px; as an attribute that of the grid.
-    mirror : bool
-        x flips, first of all.
-    rotate : float
-        Degrees clockwise as seen, next. Multiples of 90 map whole pixels to whole pixels.
-    region : (x, y, width, height), px, optional
-        In the turned frame at native scale, origin at the top left of its bounding box; may reach beyond it. Default:
-        the whole bounding box, rounded up to whole pixels.
-    output : (width, height), px, optional
-        Of the grid. Default: the region's, rounded. The scales along x and y are output / region, each on its own.
+    `size`, (width, height), is that of the reference frame, native px; as an attribute that of the grid. `mirror` flips x,
+    first of all; `rotate` is degrees clockwise as seen, next: multiples of 90 map whole pixels to whole pixels. `region`,
+    (x, y, width, height), px of the turned frame at native scale from the top left of its bounding box, may reach beyond
+    it; by default it is the whole box, rounded up. `output`, (width, height) of the grid, px, is by default the region's,
+    rounded; scales along x and y are output / region, each on its own.
 
-    Attributes
-    ----------
-    transform : Affine
-        Grid px → reference px.
-    turned : Affine
-        Px of the turned frame, before cropping and scaling, → reference px.
+    `transform` goes grid px → reference px; `turned` px of the turned frame, before cropping and scaling, → reference px.
 
-    Raises
-    ------
-    GridRefused
-        Where a side is not positive, or the region lies outside the turned frame.
+    Refused where a side is not positive, or the region lies outside the turned frame.
 
-    Examples
-    --------
     A frame 4 wide and 3 high, turned by 90 degrees: its bottom left pixel comes to the top left.
 
     >>> grid = Grid((4, 3), rotate=90)
@@ -89,33 +71,25 @@ class Grid:
         _check_sides("grid.region", (width, height))
         outside = x >= bounds[0] or y >= bounds[1] or x + width <= 0 or y + height <= 0
         if outside or max(width / bounds[0], height / bounds[1]) > MOST_FRAMES:
-            what = "lies outside" if outside else "is far larger than"
+            code, what = ("E_VALUE", "outside") if outside else ("E_SIZE", "far larger than")
             most = "within" if outside else f"at most {MOST_FRAMES} times"
-            raise GridRefused(
-                Problem(
-                    "E_VALUE" if outside else "E_SIZE",
-                    f"the region of the grid {what} the turned frame",
-                    field="grid.region",
-                    found=[x, y, width, height],
-                    expected=f"{most} {bounds[0]:.6g} x {bounds[1]:.6g} px",
-                    fix="Give the region in the frame after mirror and rotate, at native scale.",
-                )
-            )
+            message = f"the region of the grid is {what} the turned frame"
+            expected = f"{most} {bounds[0]:.6g} x {bounds[1]:.6g} px"
+            fix = "Give the region in the frame after mirror and rotate, at native scale."
+            found = [x, y, width, height]
+            raise GridRefused(Problem(code, message, None, "grid.region", found, expected, fix))
         columns, rows = output or (max(1, round(width)), max(1, round(height)))
         _check_sides("grid.size", (columns, rows))
         step_x, step_y = width / columns, height / rows
-        crop = np.array(
-            [[step_x, 0, step_x / 2 - 0.5 + x], [0, step_y, step_y / 2 - 0.5 + y], [0, 0, 1]]
+        crop = np.diag([step_x, step_y, 1.0])
+        crop[:2, 2] = step_x / 2 - 0.5 + x, step_y / 2 - 0.5 + y
+        self.__dict__.update(
+            transform=Affine((back @ crop)[:2] + 0.0),
+            turned=Affine(back[:2]),
+            size=(int(columns), int(rows)),
+            region=(x, y, width, height),
+            bounds=bounds,
         )
-        values = {
-            "transform": Affine((back @ crop)[:2] + 0.0),
-            "turned": Affine(back[:2]),
-            "size": (int(columns), int(rows)),
-            "region": (x, y, width, height),
-            "bounds": bounds,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -60,36 +60,16 @@ def warp(
 ) -> Warped:
     """Resample a picture or cube on a grid, each pixel and band interpolated once.
 
-    Parameters
-    ----------
-    source : ndarray, (h, w) or (h, w, bands), float32, uint16 or uint8
-        Values in any unit; pixels that are not finite are taken as not there. `flags` and `variance` (in the unit
-        squared) have its shape.
-    transforms : Transform, sequence or mapping of Transform, or PixelMap
-        Grid px → source px: one for all bands, or one for each, as `Registration.transforms` has them. For tiles
-        `levkas.geometry.pixel_maps.lay` them once.
-    shape : (height, width) of the grid, px
-    rows : (start, stop), optional
-        Grid rows wanted; default all.
-    held : (first row, height), optional
-        Where `source` is a part of a taller image of that height: `source_rows` says which.
-    out : Warped, optional
-        Arrays to write to, C-contiguous, instead of new ones.
+    `source` is (h, w) or (h, w, bands), float32, uint16 or uint8, in any unit; pixels that are not finite are not there.
+    `flags` and `variance` (in the unit squared) have its shape. `transforms`, grid px → source px, are one for all bands or
+    one for each, as `Registration.transforms` has them; for tiles `levkas.geometry.pixel_maps.lay` them once. `shape` is
+    (height, width) of the grid, `rows` (start, stop) those wanted, all by default. Where `source` is a part of a taller
+    image, `held` is its first row and the height of that: `source_rows` says which. `out` has C-contiguous arrays to write to.
 
-    Returns
-    -------
-    warped : Warped
-        Of rows `start` to `stop`, without bands of a picture; the same bytes for any rows and threads. NaN, flagged
-        OUTSIDE, where there is nothing.
+    The result is of rows `start` to `stop`, without bands of a picture; the same bytes for any rows and threads. NaN, flagged
+    OUTSIDE, where there is nothing. Raises ValueError where sizes or types do not fit (float64 is refused:
+    ``source.astype(np.float32)``), or rows of the source are wanted that are not held.
 
-    Raises
-    ------
-    ValueError
-        Where sizes or types do not fit (float64 is refused: `source.astype(np.float32)`), or rows of the source are
-        wanted that are not held.
-
-    Notes
-    -----
     Cubic convolution, a = −0.5, over 4 x 4 pixels ([keys1981]_, doi:10.1109/TASSP.1981.1163711). A pixel of the
     source covers half a pixel around its centre; what falls outside −0.5 … w − 0.5 is OUTSIDE. Taps that the edge
     cuts off are left out, and the others weighted so that a ramp is still met exactly. Where the grid is coarser than
@@ -101,8 +81,6 @@ def warp(
     is interpolated linearly from those that are there, and NEAR. Variances add with the squared weights; what
     neighbours have in common by the interpolation is not kept.
 
-    Examples
-    --------
     >>> from levkas.geometry.transforms import Affine
     >>> ramp = np.arange(8, dtype=np.float32) + np.zeros((8, 1), np.float32)
     >>> half = Affine(np.array([[1.0, 0, 0.5], [0, 1, 0]]))

@@ -76,13 +76,8 @@ class _Stored:
 class Affine(_Stored):
     """Affine map, ``p ↦ matrix[:, :2] p + matrix[:, 2]``, of points (x, y) in px; `matrix` is (2, 3).
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        By `inverse` where the linear part is singular.
+    `inverse` raises LinAlgError where the linear part is singular.
 
-    Examples
-    --------
     >>> Affine(np.array([[2.0, 0, 1], [0, 2, -1]]))(np.array([[3.0, 4]]))
     array([[7., 7.]])
     """
@@ -137,17 +132,11 @@ class Affine(_Stored):
 class Homography(_Stored):
     """Projective map of points (x, y) in px: ``(x′, y′, 1) ∝ matrix (x, y, 1)``; `matrix` is (3, 3), of any scale.
 
-    Raises
-    ------
-    ValueError
-        By `fit` where the points determine none; LinAlgError by `inverse` where the matrix is singular.
+    `fit` is the normalised direct linear transform ([hartley1997]_, doi:10.1109/34.601246). `inverse` raises LinAlgError
+    where the matrix is singular.
 
-    Examples
-    --------
     >>> Homography(np.array([[1.0, 0, 0], [0, 1, 0], [0.1, 0, 1]]))(np.array([[10.0, 4]])).tolist()
     [[5.0, 2.0]]
-
-    `fit` is the normalised direct linear transform ([hartley1997]_, doi:10.1109/34.601246).
     """
 
     matrix: np.ndarray
@@ -166,12 +155,8 @@ class Homography(_Stored):
             for points, frame in zip((source, target), frames, strict=True)
         )
         one, nil = np.ones_like(x), np.zeros_like(x)
-        rows = np.concatenate(
-            [
-                np.stack([x, y, one, nil, nil, nil, -u * x, -u * y, -u], 1),
-                np.stack([nil, nil, nil, x, y, one, -v * x, -v * y, -v], 1),
-            ]
-        )
+        across = np.stack([x, y, one, nil, nil, nil, -u * x, -u * y, -u], 1)
+        rows = np.concatenate([across, np.stack([nil, nil, nil, x, y, one, -v * x, -v * y, -v], 1)])
         centred = np.linalg.svd(rows)[2][-1].reshape(3, 3)
         matrix = np.linalg.inv(frames[1]) @ centred @ frames[0]
         if not abs(matrix[2, 2]) > 1e-9:
@@ -218,21 +203,13 @@ class Polynomial(_Stored):
     """Polynomial map in centred, scaled coordinates: u = (x − cx)/s, v = (y − cy)/s.
 
     `order` is the total degree, `centre` (2,) and `spread` are px (order 3 on raw pixels has a condition number of
-    1e11, on these below 100), `coefficients` (terms, 2) px, rows as `exponents` orders them.
+    1e11, on these below 100), `coefficients` (terms, 2) px, rows as `exponents` orders them. Section 3.5 of
+    [mirhashemi2019]_, doi:10.3390/computation7030047, has order 3. `fit` raises ValueError with fewer points than terms.
 
-    Raises
-    ------
-    ValueError
-        By `fit` with fewer points than terms.
-
-    Examples
-    --------
     >>> p = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), -1).reshape(-1, 2)
     >>> t = Polynomial.fit(p, p**2, order=2)
     >>> np.allclose(t(np.array([[1.5, 2.5]])), [[2.25, 6.25]])
     True
-
-    Section 3.5 of [mirhashemi2019]_, doi:10.3390/computation7030047, has order 3.
     """
 
     order: int
@@ -266,7 +243,7 @@ class Polynomial(_Stored):
         return cls(order, np.asarray(centre, float), float(spread), solved)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        us, vs = self._powers(points)
+        us, vs = _powers(points, self.order, self.centre, self.spread)
         out = np.zeros((2, len(us[0])))
         for (i, j), c in zip(exponents(self.order), self.coefficients, strict=True):
             out += us[i] * vs[j] * c[:, None]
@@ -279,7 +256,7 @@ class Polynomial(_Stored):
         return invert(self, points, rough.inverse(points))
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
-        us, vs = self._powers(points)
+        us, vs = _powers(points, self.order, self.centre, self.spread)
         out = np.zeros((2, 2, len(us[0])))
         for (i, j), c in zip(exponents(self.order), self.coefficients / self.spread, strict=True):
             if i:
@@ -287,9 +264,6 @@ class Polynomial(_Stored):
             if j:
                 out[:, 1] += j * us[i] * vs[j - 1] * c[:, None]
         return np.ascontiguousarray(np.moveaxis(out, -1, 0))
-
-    def _powers(self, points: np.ndarray) -> list[list[np.ndarray]]:
-        return _powers(points, self.order, self.centre, self.spread)
 
 
 def frame_of(points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -327,21 +301,12 @@ class Lens(_Stored):
 
     With (u, v) = (p − centre)/spread and r² = u² + v²:
     u′ = u(1 + k1 r² + k2 r⁴) + 2 p1 u v + p2 (r² + 2u²), and v′ alike; then back to pixels. `centre` (2,) and `spread`,
-    such as half of the longer side, are px.
+    such as half of the longer side, are px. Past the fold of the lens `inverse` gives NaN, and raises nothing. Model of [brown1966]_, which has no DOI.
 
-    Raises
-    ------
-    ValueError
-        Where points are not (n, 2). `inverse` gives NaN past the fold of the lens.
-
-    Examples
-    --------
     A corner 100 px from the centre moves outwards by one per cent:
 
     >>> Lens(np.array([100.0, 100.0]), 100.0, radial=(0.01, 0.0))(np.array([[200.0, 100.0]])).tolist()
     [[201.0, 100.0]]
-
-    Model of [brown1966]_, which has no DOI.
     """
 
     centre: np.ndarray
@@ -378,15 +343,8 @@ class Lens(_Stored):
 
 
 class Composed:
-    """Maps applied one after another, left to right; nested ones are laid flat.
+    """Maps applied one after another, left to right; nested ones are laid flat. Raises what they do.
 
-    Raises
-    ------
-    Exception
-        What the steps raise.
-
-    Examples
-    --------
     >>> Composed(Affine.scaling(2.0), Affine(np.array([[1.0, 0, 10], [0, 1, 0]])))(np.array([[1.0, 1]])).tolist()
     [[12.5, 2.5]]
     """
@@ -424,13 +382,6 @@ class Composed:
 class Inverse(_Stored):
     """Inverse of a map, as a map; raises what the map's own inverse does, NaN where there is none.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        Where an affine or projective map has no inverse.
-
-    Examples
-    --------
     >>> Inverse(Affine(np.array([[2.0, 0, 1], [0, 2, -1]])))(np.array([[7.0, 7]])).tolist()
     [[3.0, 4.0]]
     """
