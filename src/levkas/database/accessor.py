@@ -1,8 +1,9 @@
-"""What lies beside the pixels of a layer: flags, sigma, maps and regions, for any array that still says where its pixels lie."""
+"""What lies beside the pixels of a layer: flags, sigma, maps and regions, and what is computed of their spectra."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,8 +43,7 @@ class LayerAccessor:
         place = place_of(self._array)
         if place is None:
             raise ValueError(
-                "this array does not say of which layer its pixels are: it was computed from several, or its "
-                "coordinates database and layer are lost; take the layer as it was opened"
+                "this array has lost its coordinates database and layer; take the layer as it was opened"
             )
         return place
 
@@ -57,14 +57,13 @@ class LayerAccessor:
         """One standard deviation of these pixels' random part; None where it is not known.
 
         Raises DatabaseRefused or TiffRefused where the layer has one that is damaged or missing; ValueError where the
-        values are not those of the layer any more: sigma is not that of 100 times the values.
+        values were computed, of which sigma is not.
         """
         if not has_sigma(*self.place):
             return None
         if not self._is_unchanged():
             raise ValueError(
-                "the values of this array were computed, and sigma is that of the values of the layer: take it of "
-                "the layer as it was opened, and propagate it"
+                "the values of this array were computed: take sigma of the layer as it was opened"
             )
         return self._beside("sigma")
 
@@ -119,12 +118,7 @@ class LayerAccessor:
         known of, and that are not in it. Raises RegionRefused: ``E_REGION`` as of `region`, or where these pixels are not
         neighbours in the grid; ``E_VALUE`` where that cannot be made of these bands.
         """
-        from levkas.database.region_uncertainty import (
-            NO_BUDGET,
-            combine,
-            to_dataset,
-            uncertain_means,
-        )
+        from levkas.database import region_uncertainty as regional
 
         regions = [make_region(polygon, rectangle, circle)]
         if beside is not None:
@@ -132,10 +126,9 @@ class LayerAccessor:
             regions.append(make_region(*second))
         array = _with_bands(self._array)
         _require_neighbours(array)
-        parts = [self.flags, self.sigma]
-        flags, sigma = (None if part is None else _with_bands(part) for part in parts)
-        assert flags is not None
-        means, budget = uncertain_means(*self.place, (array, flags, sigma), regions)
+        flags = _with_bands(self.flags)
+        sigma = None if (noise := self.sigma) is None else _with_bands(noise)
+        means, budget = regional.uncertain_means(*self.place, (array, flags, sigma), regions)
         labels = [str(label) for label in array.band.values]
         wavelengths = np.atleast_1d(array.wavelength.values).astype(float)
         if bands is not None:  # of all bands before, which show how steep the spectrum is
@@ -143,9 +136,10 @@ class LayerAccessor:
             some = [labels.index(str(band)) for band in chosen]
             means = [one.pick(some) for one in means]
             labels, wavelengths = [labels[k] for k in some], wavelengths[some]
-        made, names = combine(of, labels, wavelengths, means[0], *means[1:])
+        made, names = regional.combine(of, labels, wavelengths, means[0], *means[1:])
         unknown = [row.name for row in budget.sources if row.basis == "unknown"]
-        return to_dataset(made, names, unknown if budget.sources else [NO_BUDGET])
+        unknown = unknown if budget.sources else [regional.NO_BUDGET]
+        return regional.to_dataset(made, names, unknown)
 
     def render(self, light: Light = "D65", *, adapted: bool = True) -> xarray.DataArray:
         """Show these pixels as they look under a light, sRGB, uint8 (…, rgb).
@@ -156,15 +150,14 @@ class LayerAccessor:
         """
         from levkas.colour.relighting import relight
 
-        return _by_pixel(
-            self._array, lambda v, nm: relight(v, nm, light, adapted=adapted), rgb=[*"rgb"]
-        )
+        shown = partial(relight, light=light, adapted=adapted)
+        return _by_pixel(self._array, shown, rgb=[*"rgb"])
 
     def lab(self, light: Light = "D65") -> xarray.DataArray:
         """Return CIELAB of these pixels under a light, (…, lab), for the 2° observer; NaN where a band has no value. Raises Refused as `render`."""
         from levkas.colour.gamut import lab_of
 
-        return _by_pixel(self._array, lambda v, nm: lab_of(v, nm, light), lab=[*"Lab"])
+        return _by_pixel(self._array, partial(lab_of, light=light), lab=[*"Lab"])
 
     def delta_e(self, other: xarray.DataArray, light: Light = "D65") -> xarray.DataArray:
         """Return the colour difference ΔE2000 of these pixels from others, (…). Raises Refused as `render`.
@@ -174,9 +167,8 @@ class LayerAccessor:
         from levkas.colour.gamut import delta_e_2000
 
         both, core = (self.lab(light), other.levkas.lab(light)), [["lab"], ["lab"]]
-        return _named(
-            xarray.apply_ufunc(delta_e_2000, *both, input_core_dims=core, join="inner"), "delta_e"
-        )
+        apart = xarray.apply_ufunc(delta_e_2000, *both, input_core_dims=core, join="inner")
+        return _named(apart, "delta_e")
 
     def spectral_angle(self, reference: xarray.DataArray) -> xarray.DataArray:
         """Return the angle between each pixel's spectrum and a reference, (…), radians: small where the material is alike.
@@ -200,7 +192,10 @@ class LayerAccessor:
         return _named(_by_pixel(self._array, angle), "spectral_angle")
 
     def _beside(self, kind: str) -> xarray.DataArray:
-        made = self._selected(open_layer(*self.place, kind), ("y", "x", "band"))
+        whole = open_layer(*self.place, kind)
+        picked = whole.isel({axis: _positions(self._array, whole, axis) for axis in whole.dims})
+        order = [dim for dim in self._array.dims if dim in picked.dims]
+        made = picked.transpose(*order, ...)
         if kind == "sigma" and "units" in self._array.attrs:
             made.attrs["units"] = self._array.attrs["units"]
         return xarray.DataArray(made.variable, self._array.coords, name=kind)
@@ -216,22 +211,11 @@ class LayerAccessor:
         with np.errstate(invalid="ignore"):
             return bool(np.all((own == published.astype(own.dtype)) | (own != own)))
 
-    def _selected(self, whole: xarray.DataArray, axes: tuple[str, ...]) -> xarray.DataArray:
-        """Return the pixels of a whole layer that lie where those of the array do, in its order of dimensions."""
-        picked = whole.isel({axis: _positions(self._array, whole, axis) for axis in axes})
-        order = [dim for dim in self._array.dims if dim in picked.dims]
-        return picked.transpose(*order, ...)
 
-
-def _positions(array: xarray.DataArray, whole: xarray.DataArray, axis: str) -> Any:
-    """Return where the pixels of an array lie along an axis of the whole layer.
-
-    Raises ValueError where its coordinate is lost, or is none of the layer's.
-    """
+def _positions(array: xarray.DataArray, whole: xarray.DataArray, axis: Hashable) -> Any:
+    """Return where the pixels of an array lie along an axis of the whole layer; raises ValueError where its coordinate does not say it."""
     if axis not in array.coords:
-        raise ValueError(
-            f"this array has lost the coordinate {axis}, which says of which pixels it is"
-        )
+        raise ValueError(f"this array has lost the coordinate {axis}")
     known = array.coords[axis]
     places = whole.get_index(axis).get_indexer(np.ravel(known.values)).reshape(known.shape)
     if (places < 0).any():

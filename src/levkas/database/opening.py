@@ -49,9 +49,8 @@ _ROOTS: dict[str, Path] = {}
 def open_layer(root: Path, layer: LayerId, kind: str = "values") -> xarray.DataArray:
     """Open the ``"values"``, ``"flags"`` or ``"sigma"`` of a layer, (y, x, band), lazily.
 
-    `x` and `y` are pixels of the grid; the coordinates `database` and `layer` say where the pixels come from,
-    and are lost where pixels of several layers are joined. The encoding `source` goes with the values, and is
-    lost where they are computed anew. Raises DatabaseRefused, TiffRefused.
+    `x` and `y` are pixels of the grid; the coordinates `database` and `layer` say where the pixels come from, and are lost where
+    several layers are joined; the encoding `source` is lost where values are computed. Raises DatabaseRefused, TiffRefused.
     """
     if _is_described(root / layer.group):
         array = _from_zarr(root, layer, kind)
@@ -82,8 +81,7 @@ def place_of(array: xarray.DataArray) -> tuple[Path, LayerId] | None:
 def has_sigma(root: Path, layer: LayerId) -> bool:
     """Whether the values of a layer state that they have a sigma, or something of one is there."""
     group, tiff = root / layer.group / "sigma", root / (layer.path + KINDS["sigma"])
-    stated = bool(open_layer(root, layer).attrs.get(SIGMA))
-    return stated or _is_described(group) or tiff.is_file() or group.is_dir()
+    return bool(open_layer(root, layer).attrs.get(SIGMA)) or tiff.is_file() or group.is_dir()
 
 
 def _is_described(path: Path) -> bool:
@@ -137,13 +135,12 @@ def _labelled(
     quantity = str(facts.get("quantity", ""))
     known = UNITS.get(quantity.removeprefix("sigma of "))
     units = {"units": known} if known else {}
-    meaning: dict[str, Any] = {}
-    if name == "flags":
-        meaning = {"long_name": "what is wrong with a pixel", **flag_attributes()}
-    elif name == "sigma":
-        meaning = {"long_name": "one standard deviation of the random part", **units}
-    elif known:
-        meaning = {"long_name": quantity, "ancillary_variables": "flags sigma", **units}
+    meanings = {
+        "flags": {"long_name": "what is wrong with a pixel", **flag_attributes()},
+        "sigma": {"long_name": "one standard deviation of the random part", **units},
+    }
+    of_values = {"long_name": quantity, "ancillary_variables": "flags sigma", **units}
+    meaning = meanings.get(name, of_values if known else {})
     lazy = indexing.LazilyIndexedArray(pixels)
     return xarray.DataArray(lazy, coordinates, DIMENSIONS, name=name, attrs={**facts, **meaning})
 
@@ -215,7 +212,7 @@ class _ZarrArray(_LazyArray):
 
 
 def _store(root: Path) -> Any:
-    """Return the store of a database as Zarr reads it; a shard that is missing is refused: Zarr takes it for one that was never written."""
+    """Return the store of a database as Zarr reads it, but a shard that is missing is refused: Zarr takes it for one never written."""
     from zarr.storage import LocalStore, ObjectStore, WrapperStore
 
     remote = root.store if isinstance(root, RemotePath) else None
@@ -233,10 +230,9 @@ def _store(root: Path) -> Any:
                 raise DatabaseRefused(Problem("E_TRUNCATED", what, str(root / key), fix=fix))
             return found
 
-    store = (
-        ObjectStore(remote.objects, read_only=True) if remote else LocalStore(root, read_only=True)
-    )
-    return WholeStore(store)
+    if remote:
+        return WholeStore(ObjectStore(remote.objects, read_only=True))
+    return WholeStore(LocalStore(root, read_only=True))
 
 
 def _read_description(path: Path) -> dict[str, Any]:

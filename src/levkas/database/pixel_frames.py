@@ -1,13 +1,7 @@
-"""Points mapped between any two pixel frames of an object, by its registration records.
-
-Every path leads through reference pixels: grid → reference by the record's ``grid``, reference →
-native pixels of a band by the band's transform, and back by the inverses.
-"""
+"""Points mapped between any two pixel frames of an object, through reference pixels, by its registration records."""
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -87,7 +81,7 @@ class FramePixels:
     @classmethod
     def read(cls, entry: Mapping[str, Any], *, inverse: bool = False) -> FramePixels:
         """Read what a record says of a frame, whose map is the `inverse` where it leads to the reference."""
-        size, found = entry.get("size"), from_dict(entry.get("transform", entry))
+        size, found = entry.get("size"), from_dict(entry["transform"])
         return cls(Inverse(found) if inverse else found, tuple(map(float, size)) if size else None)  # type: ignore[arg-type]
 
     def inside(self, points: np.ndarray) -> np.ndarray:
@@ -223,39 +217,24 @@ def _frame(value: Any) -> Frame:
     return parse_frame(value) if value else Frame()
 
 
-def find_map(database: str | Path, name: str, source: str | Frame, target: str | Frame) -> FrameMap:
+def find_map(database: str | Path, name: str, source: str, target: str) -> FrameMap:
     """Return the map between two frames of an object, as in `parse_frame`; a camera alone means its reference channel.
 
     Raises MappingRefused where a frame is not there, or its registration was refused.
     """
     records = Records(database_of(database), name)
-    ends = [
-        records.pixels(frame if isinstance(frame, Frame) else parse_frame(frame))
-        for frame in (source, target)
-    ]
-    first, last = ends
+    first, last = (records.pixels(parse_frame(frame)) for frame in (source, target))
     return FrameMap(first, last, records.reference())
 
 
 def map_points(
     database: str | Path, name: str, points: np.ndarray, *, source: str, target: str
 ) -> np.ndarray:
-    """Map points of an object, (n, 2) px of `source`, x and y, pixel centres at integers, from one frame to another.
+    """Map points of an object, (n, 2) px of `source`, x and y, pixel centres at integers, to px of `target`, in the same order.
 
-    `database` is a folder or an address; frames are named as `parse_frame` has it.
+    `database` is a folder or an address; frames are named as `parse_frame` has it. NaN for what lies outside what is known.
+    Raises MappingRefused where database, object, frame or band is not there, or the camera was refused.
 
-    Returns
-    -------
-    mapped : ndarray, (n, 2), px of `target`
-        In the same order; NaN for what lies outside what is known.
-
-    Raises
-    ------
-    MappingRefused
-        Where database, object, frame or band is not there, or the camera was refused.
-
-    Examples
-    --------
     >>> map_points(plates / "database", "one", np.array([[100.0, 80.0]]), source="grid", target="infrared").round(1)
     array([[100.6,  81.9]])
     """
@@ -265,42 +244,30 @@ def map_points(
 def map_table(
     database: str | Path, name: str, text: str, *, source: str, target: str, file: str | None = None
 ) -> str:
-    """Map a CSV table with the header ``x,y``, read from `file`; rows in the same order, ``nan,nan`` for points that lie outside.
+    """Map the columns x and y of a CSV table, read from `file`; rows in the same order, ``nan,nan`` for points that lie outside.
 
-    Raises MappingRefused also where a row is not two numbers; all such rows are listed, at most ten.
+    Raises MappingRefused also where rows are not two numbers (``nan`` is one); the first ten are listed.
     """
-    points = read_points(text, file=file)
-    mapped = map_points(database, name, points, source=source, target=target)
-    rows = ("nan,nan" if np.isnan(x) else f"{x:.6f},{y:.6f}" for x, y in mapped)
-    return "\n".join(["x,y", *rows]) + "\n"
-
-
-def read_points(text: str, *, file: str | None = None) -> np.ndarray:
-    """Read the columns x and y of a CSV table, (n, 2); ``nan`` is allowed. Raises MappingRefused.
-
-    >>> read_points("x,y\\n1,2.5\\n").tolist()
-    [[1.0, 2.5]]
-    """
-    rows = csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline=""))
+    lines = text.removeprefix("\ufeff").splitlines()
+    head = [cell.strip(' "').lower() for cell in lines[0].split(",")] if lines else []
+    if not {"x", "y"} <= {*head}:
+        found, what = ",".join(head)[:80] or "nothing", "the points have no header"
+        raise MappingRefused(Problem("E_KEY", what, file, "line 1", found, "x,y"))
     points, problems = [], []
-    try:
-        head = [cell.strip().lower() for cell in next(rows, [])]
-        if not {"x", "y"} <= {*head}:
-            found, what = ",".join(head)[:80] or "nothing", "the points have no header"
-            raise MappingRefused(Problem("E_KEY", what, file, "line 1", found, "x,y"))
-        for row in rows:
-            if any(cell.strip() for cell in row):
-                try:
-                    points.append([float(row[head.index(axis)]) for axis in "xy"])
-                except (ValueError, IndexError):
-                    facts = (file, f"line {rows.line_num}", ",".join(row)[:80], "two numbers")
-                    problems.append(Problem("E_VALUE", "a line is not a point", *facts))
-    except csv.Error as error:
-        what, expected = "the points are not a table", "a CSV with the header x,y"
-        problems = [Problem("E_UNREADABLE", what, file, None, str(error), expected)]
+    for number, line in enumerate(lines[1:], 2):
+        cells = [cell.strip(' "') for cell in line.split(",")]
+        try:
+            if any(cells):
+                points.append([float(cells[head.index(axis)]) for axis in "xy"])
+        except (ValueError, IndexError):
+            facts = (file, f"line {number}", line[:80], "two numbers")
+            problems.append(Problem("E_VALUE", "a line is not a point", *facts))
     if problems:
         raise MappingRefused(*problems[:10])
-    return np.array(points, float).reshape(-1, 2)
+    places = np.array(points, float).reshape(-1, 2)
+    mapped = map_points(database, name, places, source=source, target=target)
+    rows = ("nan,nan" if np.isnan(x) else f"{x:.6f},{y:.6f}" for x, y in mapped)
+    return "\n".join(["x,y", *rows]) + "\n"
 
 
 def warn_of_turns(database: str | Path, name: str, frames: Iterable[str]) -> list[str]:
@@ -310,29 +277,22 @@ def warn_of_turns(database: str | Path, name: str, frames: Iterable[str]) -> lis
         target = records.load(layer).get("target") if layer in records.layers else None
         turn = target.get("orientation") if isinstance(target, dict) else None
         if turn in UPRIGHT:
-            warnings.append(
-                f"coordinates of {layer} are of its file as it is stored; viewers show that {describe_turn(turn)} "
-                f"(EXIF orientation {turn}), and their coordinates are others"
-            )
+            shown = f"viewers show that {describe_turn(turn)} (EXIF orientation {turn})"
+            warnings.append(f"coordinates of {layer} are of its file as it is stored; {shown}")
     return warnings
 
 
 def find_position_sigma(
     database: str | Path, name: str, camera: str, setup: str = "", band: str | None = None
 ) -> np.ndarray | None:
-    """Return how well the position of a band (default: the reference channel) is known at every pixel of the grid, float32.
-
-    One standard deviation of either axis, reference px; NaN where the band does not see the object; None where the record has
-    none. Raises MappingRefused.
-    """
+    """Return `position_sigma_at` every pixel of the grid, float32; of no `band`, the reference channel's. None where the record has none."""
     records, frame = Records(database_of(database), name), Frame(camera, setup, band or "")
     grid = records.pixels(Frame())
     if "sigma" not in records.entry(frame) or grid.size is None:
         return None
     width, height = (round(n) for n in grid.size)
     check_memory(records.folder, width * height * 2, 8)
-    places = _lattice(width, height)
-    return position_sigma_at(records, frame, places).reshape(height, width)
+    return position_sigma_at(records, frame, _lattice(width, height)).reshape(height, width)
 
 
 def _lattice(width: int, height: int, step: int = 1) -> np.ndarray:
@@ -342,7 +302,10 @@ def _lattice(width: int, height: int, step: int = 1) -> np.ndarray:
 
 
 def position_sigma_at(records: Records, frame: Frame, points: np.ndarray) -> np.ndarray:
-    """Return how well the position of a band is known at (n, 2) px of the grid, reference px; NaN where it is outside or unknown."""
+    """Return how well the position of a band is known at (n, 2) px of the grid: one standard deviation of either axis, reference px.
+
+    NaN where the band does not see the object, or nothing is known. Raises MappingRefused.
+    """
     grid, entry = records.pixels(Frame()), records.entry(frame)
     values = np.full(len(points), np.nan, np.float32)
     if "sigma" in entry:
@@ -369,8 +332,7 @@ def predict_error(
     for one in sorted(known, key=lambda table: -float(table.values.sum())):
         if not any(one.nowhere_exceeds(other) for other in largest):
             largest.append(one)
-    grid = from_dict(record["grid"].get("transform", record["grid"]))
-    places = grid(_lattice(*size, step))
+    places = from_dict(record["grid"]["transform"])(_lattice(*size, step))
     worst = np.max([sigma(places) for sigma in largest], axis=0)
     worst[beyond_checks(record, places)] = np.nan
     return np.asarray(worst.reshape(-1, len(range(0, size[0], step))))

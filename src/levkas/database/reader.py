@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -37,10 +36,13 @@ class Database(Mapping[str, "Object"]):
         if not (self.path / NAME).is_file():
             raise no_database(self.path, f"a folder with {NAME}")
         self.catalogue: tuple[Entry, ...] = read_catalogue(self.path)
+        self._layers: dict[str, list[tuple[str, str]]] = {}
+        for entry in self.catalogue:
+            self._layers.setdefault(entry.object, []).append((entry.camera, entry.setup))
 
     def __getitem__(self, name: str) -> Object:
         if name not in self._layers:
-            raise KeyError(f"no object {name!r}; there are: {_first_of(self) or 'none'}")
+            raise KeyError(f"no object {name!r}; there are: {self._first()}")
         return Object(self.path, name, tuple(self._layers[name]))
 
     def __iter__(self) -> Iterator[str]:
@@ -53,24 +55,11 @@ class Database(Mapping[str, "Object"]):
         return list(self)
 
     def __repr__(self) -> str:
-        return f"<levkas database {self.path}: {_first_of(self) or 'empty'}>"
+        return f"<levkas database {self.path}: {self._first()}>"
 
-    @cached_property
-    def _layers(self) -> dict[str, list[tuple[str, str]]]:
-        found: dict[str, list[tuple[str, str]]] = {}
-        for entry in self.catalogue:
-            found.setdefault(entry.object, []).append((entry.camera, entry.setup))
-        return found
-
-
-def _first_of(names: Collection[str], most: int = 100) -> str:
-    """Return names in a line, and how many more there are.
-
-    >>> _first_of(["a", "b", "c"], 2)
-    'a, b and 1 more'
-    """
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(islice(names, most)) + more
+    def _first(self, most: int = 100) -> str:
+        more = f" and {len(self) - most} more" if len(self) > most else ""
+        return (", ".join(islice(self, most)) or "empty") + more
 
 
 @dataclass(frozen=True, repr=False)

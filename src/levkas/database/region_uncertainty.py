@@ -34,9 +34,7 @@ Of = Literal["mean", "difference", "ratio", "delta_e"]
 PROVENANCE = "provenance.json"
 PLACE = "place"
 NO_BUDGET = "all that pixels share: the layer has no budget"
-OTHER_BUDGET = (
-    "all that pixels share: the layer's budget is of another version of Levkas; build it again"
-)
+OTHER_BUDGET = "all that pixels share: the layer's budget is of another version; build it again"
 NONE = np.ones((1, 1))
 """Correlation of noise that no neighbours share."""
 
@@ -107,8 +105,8 @@ def position_sigmas(
 ) -> np.ndarray:
     """Return how well the place of each band is known at (p, 2) px of the grid, by the layer's registration, (p, n) px; NaN where it is not.
 
-    Of a layer that was made from others it is that of the least known of its sources, in its reference channel. `records` are those of
-    its object, where they are read for several layers.
+    Of a layer that was made from others it is that of the least known of its sources, in its reference channel. `records`: those
+    of its object, where they are read for several layers.
     """
     found = np.full((len(places), len(labels)), np.nan)
     if record := _record_of(root, layer):
@@ -193,7 +191,7 @@ def _slopes(values: np.ndarray, sound: np.ndarray) -> list[np.ndarray]:
 def uncertain_region(
     mean: MeanSpectrum, budget: LayerBudget, layer: LayerId, region: object, *, owner: str = ""
 ) -> Uncertain:
-    """Return the mean of a region with all that makes it uncertain; `region` names the pixels, `owner` one of several databases."""
+    """Return a mean with all that makes it uncertain; `region` names the pixels, `owner` one of several databases."""
     place, camera = (f"{owner}:{one}" for one in (f"{layer.object}/{layer.name}", layer.camera))
     return uncertain_mean(mean, budget.sources, layer=place, camera=camera, region=str(region))
 
@@ -271,7 +269,7 @@ def _delta_e(first: np.ndarray, second: np.ndarray, wavelengths: np.ndarray) -> 
 
 
 def to_dataset(made: Uncertain, names: Sequence[str], unknown: Sequence[str]) -> xarray.Dataset:
-    """Return numbers with their uncertainties: `u` standard, `U` expanded, its random and common part, and every source's."""
+    """Return numbers with their uncertainties, as `LayerAccessor.uncertainty` describes them."""
     import xarray
 
     rows = made.by_source()

@@ -32,8 +32,8 @@ WRONG = (ValueError, KeyError, TypeError, IndexError, AttributeError, Arithmetic
 Check = tuple[tuple[type, ...], Callable[[Any], object]]
 """Kinds that a part may be of, and what raises one of `WRONG` where it is wrong."""
 MOST_UNLIKE = 1.03
-"""Ratio of the scales of an object's two sides, px by mm, up to which its outline and its size are of one thing. A panel is
-rectangular, and its size right, within 1 %; what was cut off, or a frame or chart beside it, makes more."""
+"""Ratio of the scales of an object's two sides, px by mm, up to which its outline and its size are of one thing: a panel is
+rectangular, and its size right, within 1 %."""
 
 
 class RecordRefused(Refused):
@@ -87,10 +87,6 @@ def _parts(record: dict[str, Any]) -> Iterator[tuple[str, Check, Any]]:
             yield f"bands: {tile} {label}", CHECKS["grid"], band
 
 
-def _check_name(part: Any) -> None:
-    check_plain_names(part or "-")
-
-
 def _check_frame(part: Any) -> None:
     if isinstance(part, str):
         return
@@ -120,11 +116,10 @@ def _check_map(part: Any) -> None:
     """Map a point: an array of another form is found by that, wherever it stands."""
     _check_size(part.get("size"))
     float(part.get("px_per_mm") or 0)
-    if "transform" in part or "kind" in part:
-        with np.errstate(all="ignore"):
-            mapped = from_dict(part.get("transform", part))(np.array([[1.0, 2.0]]))
-        if np.shape(mapped) != (1, 2):
-            raise ValueError("a transform does not map points to points")
+    with np.errstate(all="ignore"):
+        mapped = from_dict(part["transform"])(np.array([[1.0, 2.0]]))
+    if np.shape(mapped) != (1, 2):
+        raise ValueError("a transform does not map points to points")
     if part.get("sigma") is not None:
         Sigma.from_dict(part["sigma"])(np.zeros((1, 2)))
 
@@ -137,9 +132,9 @@ def _check_size(size: Any) -> None:
 
 
 CHECKS: dict[str, Check] = {
-    "object": ((str,), _check_name),
-    "camera": ((str,), _check_name),
-    "setup": ((str,), _check_name),
+    **dict.fromkeys(
+        ("object", "camera", "setup"), ((str,), lambda name: check_plain_names(name or "-"))
+    ),
     "method": ((str,), str),
     "reference": ((dict, str), _check_frame),
     "target": ((dict, str), _check_frame),
@@ -210,10 +205,8 @@ def describe_lying(record: Mapping[str, Any]) -> list[str]:
     if np.diag(slope).min() <= 0 or abs(slope[0, 1]) > 0.1 * slope[0, 0]:
         return []  # a person turned it, this way or another
     keys = ", ".join(f"{k} = {json.dumps(v)}" for k, v in grid_keys(orientation).items())
-    return [
-        f"viewers show this file {describe_turn(orientation)} (EXIF orientation {orientation}), and the grid is not turned: "
-        f"the object does not stand upright in layers and report. Write {keys} under [grid], and build again."
-    ]
+    turned = f"viewers show this file {describe_turn(orientation)} (EXIF orientation {orientation})"
+    return [f"{turned}, and the grid is not turned. Write {keys} under [grid], and build again."]
 
 
 def _slope(grid: Mapping[str, Any]) -> np.ndarray:
@@ -231,19 +224,14 @@ def unchecked_share(record: Mapping[str, Any], key: str = "unchecked") -> float:
 
 def unchecked_mm2(record: Mapping[str, Any]) -> float | None:
     """Return the same as an area, mm²; None where the sampling is not known."""
-    px_per_mm = record["grid"].get("px_per_mm")
-    if not px_per_mm:
-        return None
-    width, height = record["grid"]["size"]
-    return float(unchecked_share(record) * width * height / px_per_mm**2)
+    scale, (width, height) = record["grid"].get("px_per_mm"), record["grid"]["size"]
+    return float(unchecked_share(record) * width * height / scale**2) if scale else None
 
 
 def mm_per_px(record: Mapping[str, Any]) -> float | None:
     """Return mm on the object a pixel of the reference, None where the sampling is not known."""
-    px_per_mm = record["grid"].get("px_per_mm")
-    if not px_per_mm:
-        return None
-    return float(1 / (px_per_mm * abs(np.linalg.det(_slope(record["grid"]))) ** 0.5))
+    grid, scale = record["grid"], record["grid"].get("px_per_mm")
+    return float(1 / (scale * abs(np.linalg.det(_slope(grid))) ** 0.5)) if scale else None
 
 
 def with_size(record: Mapping[str, Any], size_mm: Sequence[float] | None) -> dict[str, Any]:
@@ -281,8 +269,8 @@ def describe_size(record: Mapping[str, Any]) -> list[str]:
         why = f"its outline, {shape}, has not the shape of {width:g} x {height:g} mm"
     name = json.dumps(record["object"], ensure_ascii=False)
     return [
-        f"lengths in mm are not known: {why}. Draw the outline of what size_mm is of in the workbench, or write "
-        f"outline = [[x, y], …], px of the reference band, under [objects.{name}]. Then build again."
+        f"lengths in mm are not known: {why}. Draw the outline of what size_mm is of in the workbench, "
+        f"or write outline = [[x, y], …], px of the reference band, under [objects.{name}]."
     ]
 
 
@@ -292,7 +280,7 @@ def unconfirmed_cells(record: Mapping[str, Any]) -> list[list[float]]:
     sensors = [n for n in numbers.values() if isinstance(n, dict)]
     return [
         [float(value) for value in cell[:4]]
-        for part in (*sensors, *(n.get("verification") or {} for n in sensors))  # older records
+        for part in sensors
         for key in ("unsupported", "off")
         for cell in part.get(key) or ()
     ]

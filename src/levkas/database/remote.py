@@ -33,9 +33,7 @@ class RemoteRefused(Refused):
 
 
 def place(path: str | Path) -> Path:
-    """Return the path of a folder, or where an address is given, a `RemotePath`, with all of a `Path` that reading needs.
-
-    Raises RemoteRefused where the address is none that is read, or holds a password.
+    """Return the path of a folder, or of an address, a `RemotePath`; raises RemoteRefused where that is none, or holds a password.
 
     >>> str(place("s3://museum/icons/") / "catalogue.csv")
     's3://museum/icons/catalogue.csv'
@@ -64,10 +62,9 @@ class RemoteStore:
     @cached_property
     def objects(self) -> Any:
         """The store, as `obstore` opens it; requests to S3 carry the credentials of the AWS tools, or none."""
-        options: dict[str, Any] = {
-            "client_options": {"allow_http": True, "timeout": timedelta(seconds=TIMEOUT_S)},
-            "retry_config": {"max_retries": RETRIES, "retry_timeout": timedelta(seconds=RETRY_S)},
-        }
+        client = {"allow_http": True, "timeout": timedelta(seconds=TIMEOUT_S)}
+        retry = {"max_retries": RETRIES, "retry_timeout": timedelta(seconds=RETRY_S)}
+        options: dict[str, Any] = {"client_options": client, "retry_config": retry}
         try:
             from obstore.store import from_url
 
@@ -117,15 +114,11 @@ class RemoteStore:
             status = (re.findall(r"status code: (\d{3})", str(error)) or [""])[0]
             if isinstance(error, FileNotFoundError) or status == "404":
                 raise FileNotFoundError(shown) from None
-            why, fix = "the server cannot be reached, or does not answer", "Check the address."
+            why, fix = "the server does not answer", f"Check the address; set {CREDENTIALS}."
             if status in ("401", "403") or kind.startswith(("Permission", "Unauthenticated")):
-                why, fix = (
-                    "the server does not allow this",
-                    f"Check the address; set {CREDENTIALS}.",
-                )
+                why = "the server does not allow this"
             elif kind.startswith("NotSupported"):
-                why = "the server does not support range requests"
-                fix = "Use one that does (nginx, Apache, S3), or copy the database."
+                why, fix = "the server does not support range requests", "Copy the database."
             raise _refused(why, shown, kind, fix) from None
 
     @cached_property
@@ -133,7 +126,7 @@ class RemoteStore:
         """All files, as the manifest lists them."""
         manifest = RemotePath(self.url) / NAME
         if not manifest.is_file():
-            why = "a server lists no files, and this database has no manifest"
+            why = "this database has no manifest, by which a server's files are known"
             raise _refused(why, str(manifest), "no manifest", "Build the database again.")
         found = read_manifest(cast(Path, manifest))
         if found.problems:
