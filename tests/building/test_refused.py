@@ -239,7 +239,7 @@ def test_a_layer_made_from_others_is_marked_with_its_source_and_goes_with_its_ob
             name, "guess", "", 2, 24, 20, float("nan"), "reflectance", "warn", "0" * 64, ESTIMATED
         )
         record = {"kind": ESTIMATED, "sources": {"photo": source.sha256}}
-        write_json(database / f"{row.layer.path}{MADE_OF[ESTIMATED]}", record)
+        write_json(database / f"{row.layer.path}{MADE_OF}", record)
         (database / f"{row.layer.path}.tif").write_text("guessed")
         write_catalogue(database, [*read_catalogue(database), row])
     ended(campaign)

@@ -203,21 +203,19 @@ def _outdated(
     """Return the layers made from others that are not of what the database holds now: one whose object or name has gone goes."""
     measured = {row.layer: row.sha256 for row in rows if row.kind == MEASURED}
     found = {}
-    for layer, kind in ((row.layer, row.kind) for row in rows if row.kind != MEASURED):
+    for layer in (row.layer for row in rows if row.kind != MEASURED):
         if whole and not is_named(campaign, Key(layer.object)):
             found[layer] = Outdated(f"{layer.object} is no longer in the campaign", goes=True)
         elif layer in measured:
             found[layer] = Outdated("a camera of the campaign has its name", goes=True)
-        elif why := _why_outdated(places, layer, kind, measured):
+        elif why := _why_outdated(places, layer, measured):
             found[layer] = Outdated(why)
     return found
 
 
-def _why_outdated(
-    places: Places, layer: LayerId, kind: str, measured: Mapping[LayerId, str]
-) -> str:
+def _why_outdated(places: Places, layer: LayerId, measured: Mapping[LayerId, str]) -> str:
     try:
-        sources = dict(read_json(places.output / f"{layer.path}{MADE_OF[kind]}")["sources"])
+        sources = dict(read_json(places.output / f"{layer.path}{MADE_OF}")["sources"])
     except (Refused, OSError, KeyError, TypeError, ValueError):
         return "its record cannot be read"
     for name, sha256 in sources.items():
@@ -240,7 +238,7 @@ def _describe(outdated: Mapping[LayerId, Outdated]) -> str:
 
 def _put_away(places: Places, records: BuildRecords, layer: LayerId, why: str) -> str:
     """Move a layer made from others out of the database; return the warning."""
-    names = [f"{layer.path}{end}" for end in (*KINDS.values(), ".png", *MADE_OF.values())]
+    names = [f"{layer.path}{end}" for end in (*KINDS.values(), ".png", MADE_OF)]
     group = places.output / layer.group
     names += [f"{layer.group}/{name}" for name in walk_files(group)] if group.is_dir() else []
     where = records.put_away(names) or "nowhere: its files are gone"

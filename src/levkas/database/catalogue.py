@@ -22,8 +22,7 @@ NAME = "catalogue.csv"
 LARGEST = 64 << 20
 """Bytes of a catalogue that is still read, whose size on a server is the server's choice: half a million layers."""
 MOST_PROBLEMS = 10
-KINDS = MEASURED, ESTIMATED, SPLICED = "measured", "estimated", "spliced"
-"""What a layer is: the last ones are made from others."""
+KINDS = MEASURED, ESTIMATED = "measured", "estimated"
 
 
 class DatabaseRefused(Refused):

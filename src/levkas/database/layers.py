@@ -15,34 +15,24 @@ import numpy as np
 
 from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.digests import hash_file
-from levkas.core.files import remove, spooling, together, write_bytes, write_json
+from levkas.core.files import remove, spooling, together, write_bytes
 from levkas.core.machine import count_threads
-from levkas.core.problems import Problem, unknown_name
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
 from levkas.core.threads import made_ahead
-from levkas.database.catalogue import (
-    ESTIMATED,
-    MEASURED,
-    SPLICED,
-    DatabaseRefused,
-    Entry,
-    read_catalogue,
-    write_catalogue,
-)
-from levkas.database.containment import check_plain_names
+from levkas.database.catalogue import MEASURED, Entry
 from levkas.database.credits import Credits
 from levkas.database.described import describe_pages
-from levkas.database.layout import KINDS, MADE_OF, SIGMA, STEP, LayerId
+from levkas.database.layout import KINDS, SIGMA, STEP, LayerId
 from levkas.database.preview import encode_png
 from levkas.database.spectral_tiff import THREADS, PageSpool, TiffHeader, write_encoded_pages
-from levkas.database.store import write_index, writing_layer
+from levkas.database.store import writing_layer
 from levkas.database.tiff_pages import open_pages
 
 if TYPE_CHECKING:
     from levkas.core.cube import Band, Cube, CubeRows
 
-MADE = {MEASURED: "made_of", ESTIMATED: "estimate", SPLICED: "splice"}
-"""Attribute with what a layer was made of, by its kind."""
+MADE = "estimate"
+"""Attribute with what an estimated layer was made of."""
 DTYPES = {"values": np.float32, "flags": np.uint8, "sigma": np.float32}
 
 
@@ -78,7 +68,7 @@ class Layer:
             "setup": self.setup,
             "px_per_mm": None if isnan(self.px_per_mm) else float(self.px_per_mm),
             "kind": None if self.kind == MEASURED else self.kind,
-            MADE[self.kind]: self.made_of,
+            MADE: self.made_of,
             "bad_bands": [band.label for band in bands if band.bad] or None,
         }
         return {key: value for key, value in facts.items() if value is not None}
@@ -294,62 +284,3 @@ def _describe_bands(bands: Sequence[Band], facts: Mapping[str, Any]) -> str:
         "fwhm": [None if isnan(b.fwhm) else float(b.fwhm) for b in bands],
     }
     return json.dumps(record, ensure_ascii=False, allow_nan=False)
-
-
-@dataclass(frozen=True)
-class DerivedStep:
-    """One object whose layer was written."""
-
-    label: str
-    done: int
-    total: int
-    files: tuple[Path, ...]
-    finished: bool = True
-    state: str = "done"
-
-    @property
-    def line(self) -> str:
-        return f"{self.done}/{self.total} {self.label}"
-
-
-def write_derived(
-    root: Path,
-    layer: Layer,
-    rows: Cube | CubeRows,
-    sources: Sequence[LayerId],
-    record: Mapping[str, Any],
-    *,
-    verdict: str,
-) -> tuple[Path, ...]:
-    """Write a layer made from others, with the record of what it was made of, and list it; one of its name is replaced.
-
-    The manifest is left to `database.manifest.write_manifest`, once for all layers.
-    """
-    entry, written = write_layer(root, layer, rows, verdict=verdict)
-    path = root / f"{layer.id.path}{MADE_OF[layer.kind]}"
-    hashes = {source.name: hash_file(root / f"{source.path}.tif") for source in sources}
-    write_json(path, {"kind": layer.kind, **(layer.made_of or {}), "sources": hashes, **record})
-    others = [e for e in read_catalogue(root) if e.layer != entry.layer]
-    write_catalogue(root, [*others, entry])
-    write_index((root / layer.id.group).parent)
-    return (*written, path)
-
-
-def check_new_layer(
-    root: Path, layer: str, having: Sequence[str], objects: Sequence[str], *, kind: str, field: str
-) -> None:
-    """Refuse a name that a layer of another kind has, or that files cannot have, and objects that are not among those `having` the sources.
-
-    `field` is the argument that names the layer. Raises DatabaseRefused.
-    """
-    try:
-        check_plain_names(layer)
-    except ValueError as error:
-        raise DatabaseRefused(Problem("E_VALUE", str(error), field=field, found=layer)) from None
-    if layer in {e.camera for e in read_catalogue(root) if e.kind != kind}:
-        what = f"the database has another layer {layer!r}; one that is {kind} must not replace it"
-        expected, fix = "a name that differs from all cameras", f"Name it {layer}-{kind}."
-        raise DatabaseRefused(Problem("E_EXISTS", what, str(root), field, layer, expected, fix))
-    if unknown := [name for name in objects if name not in having]:
-        what, more = "this object lacks the layers", {"file": str(root), "field": "--object"}
-        raise DatabaseRefused(unknown_name(what, unknown[0], having, **more))

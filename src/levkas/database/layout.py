@@ -11,8 +11,8 @@ SIGMA = "sigma"
 """Among the facts of values: true where a sigma belongs to them, so that a missing one is noticed."""
 STEP = "step_per_sigma"
 """Among the facts of values: the largest step that they are rounded to, a share of their sigma."""
-MADE_OF = {"estimated": ".estimate.json", "spliced": ".splice.json"}
-"""Endings of the records of what layers were made of that others were made from, by their kind."""
+MADE_OF = ".estimate.json"
+"""Ending of the record of what an estimated layer was made of."""
 
 
 @dataclass(frozen=True)

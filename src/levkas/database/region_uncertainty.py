@@ -81,8 +81,8 @@ def read_budget(root: Path, layer: LayerId) -> LayerBudget:
 
 def _record_of(root: Path, layer: LayerId) -> Path | None:
     """Return the record of what a layer was made of; None of one that was measured."""
-    paths = (root / f"{layer.path}{ending}" for ending in MADE_OF.values())
-    return next((path for path in paths if path.is_file()), None)
+    path = root / f"{layer.path}{MADE_OF}"
+    return path if path.is_file() else None
 
 
 def mean_correlation(several: Sequence[np.ndarray]) -> np.ndarray:

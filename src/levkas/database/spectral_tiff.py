@@ -1,7 +1,7 @@
 """The spectral TIFF of the University of Eastern Finland: one page a band, after an RGB render.
 
-Tag 65000 of the first band page holds the centre wavelengths, tag 65111 a text, tag 65001 of each
-page of a mask file its label. Float pages are zlib with predictor 3, which every reader knows.
+Tag 65000 of the first band page holds the centre wavelengths, tag 65111 a text, tag 65001 of each page of a mask file its
+label. Float pages are zlib with predictor 3, which every reader knows.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def write_encoded_pages(
 
     dtype, (height, width) = np.dtype(header.dtype), header.shape
     size = height * width * len(header.wavelengths) * dtype.itemsize
-    common: dict[str, Any] = {"metadata": None, "contiguous": False}
+    common: dict[str, Any] = {"metadata": None, "contiguous": False, "compression": "zlib"}
     if px_per_cm := (header.px_per_mm or 0) * 10:
         common |= {"resolution": (px_per_cm, px_per_cm), "resolutionunit": "CENTIMETER"}
     centres, text = tuple(float(w) for w in header.wavelengths), _encode_text(header.text)
@@ -97,17 +97,15 @@ def write_encoded_pages(
     ):
         if header.rgb is not None:
             packet = header.credits.to_xmp()
+            xmp = [(XMP, "B", len(packet), packet, True)] if packet else []
             tiff.write(
                 np.ascontiguousarray(header.rgb, np.uint8),
                 photometric="rgb",
-                compression="zlib",
                 compressionargs={"level": LEVEL},
                 predictor=2,
                 iccprofile=srgb_profile(),
                 **common,
-                **_credit_tags(
-                    header.credits, [(XMP, "B", len(packet), packet, True)] if packet else []
-                ),
+                **_credit_tags(header.credits, xmp),
             )
         first = _credit_tags(header.credits if header.rgb is None else Credits(), tags)
         for index, encoded in enumerate(pages):
@@ -116,7 +114,6 @@ def write_encoded_pages(
                 shape=header.shape,
                 dtype=dtype,
                 photometric="minisblack",
-                compression="zlib",
                 predictor=PREDICTORS[dtype.kind] if dtype.itemsize > 1 else None,
                 rowsperstrip=strip_rows(width, dtype),
                 **common,
@@ -251,15 +248,8 @@ def write_stiff(
 
     `cube` is (height, width, bands): floats (reflectance or counts) are written as float32, uint16 (reflectance × 65535) and
     uint8 as they are. `wavelengths`, nm, ascend or descend; `rgb` is a render in sRGB, (height, width, 3) uint8, or None;
-    `metadata` a text that is kept with the bands, such as JSON.
+    `metadata` a text that is kept with the bands, such as JSON. Raises TiffRefused where these do not fit, WriteRefused.
 
-    Raises
-    ------
-    TiffRefused, WriteRefused
-        Where shapes, dtypes, or bands and wavelengths do not fit; where the file cannot be written.
-
-    Examples
-    --------
     >>> write_stiff(folder / "a.tif", np.full((2, 3, 2), 0.5), [450.0, 550.0], None, "by hand")
     >>> cube, wavelengths, rgb, text = read_stiff(folder / "a.tif")
     >>> cube.shape, wavelengths.tolist(), rgb, text
@@ -286,27 +276,12 @@ def write_stiff(
 def read_stiff(
     path: str | Path, silent: bool = False, rgb_only: bool = False
 ) -> tuple[np.ndarray | None, np.ndarray, np.ndarray | None, str]:
-    """Read a spectral TIFF, with the name and the order of arguments that its users know.
+    """Read (cube, wavelengths, rgb, metadata) of a spectral TIFF, with the name and the order of arguments that its users know.
 
-    `silent`: no warning where wavelengths or texts are repeated on every page; `rgb_only`: the bands are left out.
+    The cube is (height, width, bands), wavelengths, nm, ascending, 0, 1, 2 … where the file has none; uint16 pages become
+    float32 reflectance (÷ 65535). `silent`: no warning where wavelengths or texts are repeated on every page; `rgb_only`: the
+    cube is None. Raises TiffRefused of damaged or truncated files, and of lists that differ from page to page.
 
-    Returns
-    -------
-    cube : ndarray, (height, width, bands), or None
-        Wavelengths ascending; uint16 pages as float32 reflectance (÷ 65535), others as they are.
-    wavelengths : ndarray, (bands,), nm
-        0, 1, 2 … where the file has none.
-    rgb : ndarray, (height, width, 3), uint8, or None
-        A render in sRGB.
-    metadata : str
-
-    Raises
-    ------
-    TiffRefused
-        Damaged or truncated files, and lists that differ from page to page.
-
-    Examples
-    --------
     >>> path = plates / "database/objects/one/one_photo.tif"
     >>> cube, wavelengths, rgb, text = read_stiff(path)
     >>> cube.shape, cube.dtype.name, rgb.shape
@@ -369,20 +344,10 @@ def decode_text(stored: str) -> str:
 
 
 def read_mtiff(path: str | Path) -> dict[str, np.ndarray]:
-    """Read masks of a TIFF, a page each, labelled by tag 65001.
+    """Read masks of a TIFF, a page each, labelled by tag 65001: label → where the page is above 0, (height, width) bool.
 
-    Returns
-    -------
-    masks : dict of str to ndarray, (height, width), bool
-        Label → where the page is above 0.
+    Raises TiffRefused where a page has no label, or two have the same.
 
-    Raises
-    ------
-    TiffRefused
-        Where a page has no label, or two have the same.
-
-    Examples
-    --------
     >>> import tifffile
     >>> mask = np.zeros((2, 3), np.uint8)
     >>> mask[0, 1] = 255

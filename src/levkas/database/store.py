@@ -1,7 +1,7 @@
 """Zarr v3 stores, one an object, one group a layer, opened by xarray with labelled bands.
 
-A group holds ``values``, ``flags`` and, where the noise is known, ``sigma``, all (y, x, band), and
-the coordinates ``band``, ``wavelength`` and ``fwhm``. Every chunk carries a checksum.
+A group holds ``values``, ``flags`` and, where the noise is known, ``sigma``, all (y, x, band), and the coordinates ``band``,
+``wavelength`` and ``fwhm``. Every chunk carries a checksum.
 """
 
 from __future__ import annotations
@@ -106,34 +106,32 @@ def writing_layer(
     facts = {k: v for k, v in attributes.items() if v is not None} | (
         {SIGMA: True} if sigma else {}
     )
+    of_sigma = {"long_name": "one standard deviation of the random part"}
+    kinds: dict[str, tuple[Any, Any, dict[str, Any]]] = {
+        "values": (np.float32, nan, facts),
+        "flags": (np.uint8, int(Flag.OUTSIDE), flag_attributes()),
+        **({"sigma": (np.float32, nan, of_sigma)} if sigma else {}),
+    }
     beside = {"coordinates": "wavelength fwhm"}
-    kinds: dict[str, tuple[Any, Any, Mapping[str, Any]]] = {
-        "values": (np.float32, nan, facts | beside),
-        "flags": (np.uint8, int(Flag.OUTSIDE), flag_attributes() | beside),
-        "sigma": (
-            np.float32,
-            nan,
-            {"long_name": "one standard deviation of the random part"} | beside,
-        ),
+    labels = {
+        "band": np.array([band.label for band in bands], object),
+        "wavelength": np.array([band.wavelength for band in bands], np.float64),
+        "fwhm": np.array([band.fwhm for band in bands], np.float64),
     }
     with publishing(root / name) as folder:
         group = zarr.create_group(folder_store(folder), zarr_format=3)
+        of_pixels = {"chunks": chunks, "shards": shards}
         arrays = {
-            key: _create(
-                group, key, dtype, shape, facts, fill_value=fill, chunks=chunks, shards=shards
-            )
+            key: _create(group, key, dtype, shape, facts | beside, fill_value=fill, **of_pixels)
             for key, (dtype, fill, facts) in kinds.items()
-            if sigma or key != "sigma"
         }
-        columns = ((b.label, b.wavelength, b.fwhm) for b in bands)
-        for key, column in zip(
-            ("band", "wavelength", "fwhm"), zip(*columns, strict=True), strict=True
-        ):
-            kind, fill = (str, "") if key == "band" else (np.float64, nan)
-            facts = {} if key == "band" else {"units": "nm"}
-            size = (len(bands),)
-            array = _create(group, key, kind, size, facts, fill_value=fill, chunks=size)
-            array[...] = np.array(column, object if key == "band" else kind)
+        for key, column in labels.items():
+            kind, fill, more = (
+                (str, "", {}) if key == "band" else (np.float64, nan, {"units": "nm"})
+            )
+            size = column.shape
+            array = _create(group, key, kind, size, more, fill_value=fill, chunks=size)
+            array[...] = column
         writer = LayerWriter(arrays, shape, shards[0])
         yield writer
         writer.check_whole()
@@ -158,8 +156,7 @@ def _create(
 def write_index(root: Path) -> Path:
     """Consolidate the metadata of all layers in the store's root, so that xarray reads one file.
 
-    Call it when the last layer of an object is written; writing one more drops the index again. An
-    index that says the same already is left alone.
+    Call it when the last layer of an object is written; writing one more drops the index again.
     """
     entries = {}
     for name in list_files(root):

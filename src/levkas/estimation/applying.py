@@ -7,6 +7,7 @@ model, source layers and training paintings; it is never called a measurement, a
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from math import nan, sqrt
 from pathlib import Path
 
@@ -14,14 +15,23 @@ import numpy as np
 
 from levkas.core.cube import Cube, Flag
 from levkas.core.digests import hash_file
+from levkas.core.files import write_json
 from levkas.core.machine import steady_libraries
-from levkas.database.catalogue import ESTIMATED
+from levkas.core.problems import Problem, unknown_name
+from levkas.database.catalogue import (
+    ESTIMATED,
+    DatabaseRefused,
+    read_catalogue,
+    write_catalogue,
+)
+from levkas.database.containment import check_plain_names
 from levkas.database.credits import Credits
-from levkas.database.layers import DerivedStep, Layer, check_new_layer, write_derived
-from levkas.database.layout import LayerId
+from levkas.database.layers import Layer, write_layer
+from levkas.database.layout import MADE_OF, LayerId
 from levkas.database.manifest import write_manifest
 from levkas.database.reader import Database
 from levkas.database.region_uncertainty import mean_correlation, read_budget
+from levkas.database.store import write_index
 from levkas.estimation.methods import find_method
 from levkas.estimation.samples import read_lattice, require_layers, side_by_side
 from levkas.estimation.stored import StoredModel, read_model
@@ -30,6 +40,22 @@ from levkas.estimation.uncertainty import SAMPLES, Estimate, channels_of
 BLOCK_ROWS = 64
 SAMPLED = 4 * SAMPLES
 """Pixels of a lattice among which those are chosen at which slopes are taken."""
+
+
+@dataclass(frozen=True)
+class DerivedStep:
+    """One object whose layer was written."""
+
+    label: str
+    done: int
+    total: int
+    files: tuple[Path, ...]
+    finished: bool = True
+    state: str = "done"
+
+    @property
+    def line(self) -> str:
+        return f"{self.done}/{self.total} {self.label}"
 
 
 def apply_model(
@@ -58,7 +84,7 @@ def apply_model(
     root = Path(database)
     opened, stored = Database(root), read_model(Path(model))
     names = require_layers(opened, stored.sources, "MODEL")
-    check_new_layer(root, layer, names, objects, kind=ESTIMATED, field="-o")
+    _check(root, layer, names, objects)
     chosen = [name for name in names if not objects or name in objects]
     first = (LayerId.parse(names[0], source) for source in stored.sources)
     channels = sum(opened[key.object][key.camera, key.setup].shape[2] for key in first)
@@ -69,6 +95,21 @@ def apply_model(
             f"{name}/{layer} estimated from {'+'.join(stored.sources)}", done, len(chosen), files
         )
     write_manifest(root)
+
+
+def _check(root: Path, layer: str, having: Sequence[str], objects: Sequence[str]) -> None:
+    """Refuse a name that a measured layer has, or that files cannot have, and objects that are not among those `having` the sources."""
+    try:
+        check_plain_names(layer)
+    except ValueError as error:
+        raise DatabaseRefused(Problem("E_VALUE", str(error), field="-o", found=layer)) from None
+    if layer in {e.camera for e in read_catalogue(root) if e.kind != ESTIMATED}:
+        what, expected = "a measured layer has this name", "a name that differs from all cameras"
+        fix = f"Name it {layer}-estimated."
+        raise DatabaseRefused(Problem("E_EXISTS", what, str(root), "-o", layer, expected, fix))
+    if unknown := [name for name in objects if name not in having]:
+        what, more = "this object lacks the layers", {"file": str(root), "field": "--object"}
+        raise DatabaseRefused(unknown_name(what, unknown[0], having, **more))
 
 
 def _apply_to(
@@ -99,13 +140,22 @@ def _apply_to(
     rows = [row.to_dict() for row in estimate.rows(same_cameras=here)] if estimate else []
     budgets = [read_budget(database.path, key) for key in keys]
     shared = mean_correlation([budget.correlation for budget in budgets])
+    root = database.path
     record = {
+        "kind": ESTIMATED,
+        **facts,
+        "sources": {key.name: hash_file(root / f"{key.path}.tif") for key in keys},
         "model": {"file": model.name, "sha256": hash_file(model)},
         "held_out_rmse": list(stored.sigma),
         "uncertainty": rows,
         "noise_correlation": shared.round(4).tolist(),
     }
-    return write_derived(database.path, described, cube, keys, record, verdict=ESTIMATED)
+    entry, written = write_layer(root, described, cube, verdict=ESTIMATED)
+    write_json(path := root / f"{described.id.path}{MADE_OF}", record)
+    others = [e for e in read_catalogue(root) if e.layer != entry.layer]
+    write_catalogue(root, [*others, entry])
+    write_index((root / described.id.group).parent)
+    return (*written, path)
 
 
 def sample_estimate(database: Database, name: str, stored: StoredModel) -> Estimate | None:

@@ -74,7 +74,6 @@ KINDS = {
     "CITATION.cff": "how to cite it, Citation File Format",
     "datacite.json": "DataCite metadata, as a DOI is registered with",
     ".estimate.json": "model, source layers and uncertainty budget of an estimated layer",
-    ".splice.json": "source layers, overlap and uncertainty budget of a spliced layer",
     ".tif": "calibrated values, a float32 page a band after a render",
     ".png": "render of the layer, sRGB",
 }

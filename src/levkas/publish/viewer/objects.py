@@ -15,7 +15,7 @@ from levkas.core.cube import Band
 from levkas.core.flags import describe_marks
 from levkas.core.problems import Refused
 from levkas.core.text import counted
-from levkas.database.catalogue import ESTIMATED, MEASURED, SPLICED
+from levkas.database.catalogue import ESTIMATED
 from levkas.database.described import channel_shapes, describe_pages
 from levkas.database.layers import MADE
 from levkas.database.layout import LayerId, layer_name
@@ -345,24 +345,10 @@ def _places_of(
 
 def _say_made_of(attrs: dict[str, Any]) -> dict[str, Any]:
     """Words for a layer that was made from others, in place of a verdict on its registration; nothing of one that was measured."""
-    kind = str(attrs.get("kind", MEASURED))
-    if kind not in (ESTIMATED, SPLICED):
+    if attrs.get("kind") != ESTIMATED:
         return {}
-    facts = attrs.get(MADE[kind])
+    facts = attrs.get(MADE)
     facts = facts if isinstance(facts, dict) else {}
-    if kind == SPLICED:
-        overlap = facts.get("overlap")
-        overlap = overlap if isinstance(overlap, dict) else {}
-        decision = "accept" if overlap.get("decision") == "accept" else "warn"
-        by = f", divided by {facts['levelled_by']}" if facts.get("levelled_by") else ""
-        names = [*map(str, facts.get("from") or []), "?", "?"]
-        why = f"{names[0]} to {facts.get('at_nm')} nm, {names[1]} from there on{by}."
-        reasons = [why, *map(str, overlap.get("reasons") or [])]
-        return {
-            "decision": decision,
-            "verdict": f"spliced, {DECISIONS[decision]}",
-            "reasons": reasons,
-        }
     sources, training = (", ".join(map(str, facts.get(key) or [])) for key in ("from", "training"))
     why = f"Estimated from {sources} by {facts.get('method')}, fitted on {training}: not a measurement."
     return {"decision": "warn", "verdict": "estimated", "reasons": [why]}
