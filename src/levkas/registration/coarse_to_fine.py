@@ -222,9 +222,11 @@ class RegisteredSensor:
     chromatic: ChromaticShifts
     windows: dict[str, WindowShifts]
     sigma: dict[str, Sigma] = field(default_factory=dict)
+    base: Transform | None = None
+    """Reference px → native px without the chromatic shifts of bands; None for the reference's own sensor."""
     initial: InitialTransform | None = None
     refined: RefinedMap | None = None
-    """None, as `initial` and `evidence`, for the reference's own sensor, whose base map is the identity."""
+    """None, as `initial` and `evidence`, for the reference's own sensor."""
     evidence: Evidence | None = None
     lines: LineDisplacement | None = None
     """How single lines lie beside the map; None where too few show enough."""
@@ -232,16 +234,6 @@ class RegisteredSensor:
     """Of lines that are displaced, which the maps follow; `refined` is of the picture put right."""
     placed: PlacedByHand | None = None
     """The map where it is fitted to a person's pairs alone; there is no `initial` and no `refined` then."""
-
-    @property
-    def base(self) -> Transform | None:
-        """Reference px → native px without the chromatic shifts of bands; None for the reference's own sensor."""
-        if self.placed is not None:
-            return self.placed.transform
-        if self.refined is None:
-            return None
-        native = () if self.correction is None else (self.correction.transform(),)
-        return Composed(self.refined.base, *native)
 
     def knowing(self, **known: Any) -> RegisteredSensor:
         """Return the sensor with more evidence; of one without evidence nothing is known."""
@@ -286,7 +278,7 @@ def register_sensor(
         images = {**images, **sqrt_images([band for band in there if band.label not in images])}
         task = replace(task, bands=there, images=images)
         found = refine_map(task)
-    task, found, lines, correction = _put_lines_right(task, found)
+    found, lines, correction = _put_lines_right(task, found)
     native = () if correction is None else (correction.transform(),)
     whole, outlines = Composed(found.base, *native), None
     if found.numbers["coverage"] < SURE_COVERAGE or np.isinf(found.selected.held_out_error):
@@ -303,6 +295,7 @@ def register_sensor(
         chromatic=chromatic,
         windows=dict(zip([band.label for band in task.bands], found.windows, strict=True)),
         sigma=sigma,
+        base=whole,
         initial=initial,
         refined=found,
         evidence=_evidence(task, found, outlines and outlines.to_dict(), lines, correction),
@@ -337,13 +330,12 @@ def _evidence(
 
 def _put_lines_right(
     task: SensorTask, found: RefinedMap
-) -> tuple[SensorTask, RefinedMap, LineDisplacement | None, LineCorrection | None]:
-    """Register a picture whose lines are displaced again, put right, for as long as less of it is left; of rows and columns those displaced more.
+) -> tuple[RefinedMap, LineDisplacement | None, LineCorrection | None]:
+    """Put displaced lines right, of rows and columns those displaced more, and register again for as long as less is left.
 
-    Returns the task with the pictures put right, its map, how lines lie beside that, and the correction; None without one.
+    Returns the map of the picture put right, how lines lie beside that, and the correction; None without one.
     """
-    whole, now = None, task
-    lines = task.measure_lines(found)
+    whole, lines = None, task.measure_lines(found)
     for _ in range(LINE_ROUNDS):
         rest = find_correction(lines, task.scale) if lines else None
         if lines is None or rest is None or (whole and rest.lines != whole.lines):
@@ -357,8 +349,8 @@ def _put_lines_right(
         left = again.measure_lines(better)
         if left is None or left.rms >= lines.rms:
             break
-        whole, now, found, lines = correction, again, better, left
-    return now, found, lines, whole
+        whole, found, lines = correction, better, left
+    return found, lines, whole
 
 
 def refine_map(task: SensorTask) -> RefinedMap:
@@ -410,8 +402,11 @@ class _Refinement:
                 continue  # too little to see at this size; the initial transform stands
             selected = self._fit(windows, step, SelectionTerms(coarse=True))
             now = (total_information(windows), selected.total_information)
-            if known is not None and _is_less(now, known):
-                return
+            if known is not None and now[1] < known[1]:
+                # Where neighbouring windows have that much more information, it is the model that lacks a term.
+                near, before = now[0], known[0]
+                if near is None or before is None or near < SHARPER * before:
+                    return
             self._take(selected)
             self.step, known = step, now
 
@@ -478,12 +473,6 @@ class _Refinement:
         bands = self.task.bands if self.task.one_scan else [self.task.bands[best]]
         images = [self.task.resample(band, whole, step) for band in bands]
         return run_permutation_test(self.task.reference.predictor(step), images)
-
-
-def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]) -> bool:
-    """Return whether a finer grid has less information about the model, and neighbouring windows have not that much more: a term lacks then."""
-    sharper = now[0] is not None and before[0] is not None and now[0] >= SHARPER * before[0]
-    return now[1] < before[1] and not sharper
 
 
 def evenly_spread(items: Sequence[Item], most: int) -> list[Item]:

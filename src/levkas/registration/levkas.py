@@ -153,7 +153,12 @@ class _Target:
         if by_hand.accepted:
             placed = place_by_hand(by_hand, shape, name)
             one = RegisteredSensor(
-                name, {}, zero_displacement(1, *frame_centre(shape)), {}, placed=placed
+                name,
+                {},
+                zero_displacement(1, *frame_centre(shape)),
+                {},
+                base=placed.transform,
+                placed=placed,
             )
             return _with_one_map(one, labels, placed.sigma(shape), shape)
         there = present_bands(bands)

@@ -65,24 +65,22 @@ class LineShifts:
     places: np.ndarray
     """(parts,). Middles of the parts, -1 to 1 along the line."""
     ends: tuple[float, float]
-    """In px along the line: the places -1 and 1."""
+    """Of places, in px along the line."""
     spread: float = 1.0
     """Root mean square over a line of a displacement that is 1 px where it is stated: less than 1 of slopes, stated at the ends."""
 
     def slopes(self) -> LineShifts:
         """Return how lines turn (across) or stretch (along) about their middle, at their ends, as the outermost and the next parts show it."""
-        last = len(self.places) - 1
-        apart = np.array([self.places[last - k] - self.places[k] for k in (0, 1)])[:, None]
+        low, high = [0, 1], [-1, -2]
+        apart = (self.places[high] - self.places[low])[:, None]
 
         def of_both(known: np.ndarray) -> np.ndarray:
-            one, other = known[:, :2], known[:, : last - 2 : -1]
+            one, other = known[:, low], known[:, high]
             return np.asarray(apart**2 * one * other / np.maximum(one + other, 1e-30))
 
-        slope = (self.shift[:, : last - 2 : -1] - self.shift[:, :2]) / apart
         known = of_both(self.information)
-        return LineShifts(
-            np.where(known > 0, slope, 0.0), of_both(self.weight), known, np.zeros(2), self.ends, 3**-0.5
-        )  # fmt: skip
+        slope = np.where(known > 0, (self.shift[:, high] - self.shift[:, low]) / apart, 0.0)
+        return LineShifts(slope, of_both(self.weight), known, np.zeros(2), self.ends, 3**-0.5)
 
     def common(self) -> np.ndarray:
         """Return the mean over the parts, (lines, 2); NaN where nothing is known."""
@@ -94,9 +92,10 @@ class LineShifts:
     def covariance(self, outer: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Return the variance that parts, or the outer two, have in common along the scan, (2,) px², and its standard deviation by chance."""
         last = len(self.places) - 1
-        pairs = [(0, last)] if outer else list(combinations(range(last + 1), 2))
-        a, b = (self.shift[:, list(k)] for k in zip(*pairs, strict=True))
-        root = np.prod([self.weight[:, list(k)] for k in zip(*pairs, strict=True)], 0) ** 0.25
+        pairs = [(0, last)] if outer else combinations(range(last + 1), 2)
+        one, other = (list(part) for part in zip(*pairs, strict=True))
+        a, b = self.shift[:, one], self.shift[:, other]
+        root = (self.weight[:, one] * self.weight[:, other]) ** 0.25
         found = (root**2 * a * b).sum((0, 1)) / np.maximum((root**2).sum((0, 1)), 1e-30)
         apart = np.where(root > 0, a - b, 0.0) / np.sqrt(2)
         products, weights = (_autocorrelation(x).sum(1) for x in (root * apart, root))
@@ -104,8 +103,12 @@ class LineShifts:
         chance = products[far] / np.maximum(weights[far], 1e-30)
         return found, np.sqrt(np.mean(np.square(chance), 0))
 
+    def variance(self, sizes: np.ndarray) -> np.ndarray:
+        """Return the variance along and across the lines, (2,) reference px²; `sizes`, (2,), are reference px per px along and across."""
+        return np.asarray(self.covariance()[0].clip(0) * (sizes * self.spread) ** 2)
+
     def are_displaced(self, sizes: np.ndarray) -> tuple[bool, float]:
-        """Return whether lines are displaced beyond chance, and by how many deviations; `sizes`, (2,), are reference px per px along and across."""
+        """Return whether lines are displaced beyond chance, and by how many deviations."""
         found, chance = self.covariance()
         deviations = found / np.maximum(chance, 1e-30)
         most, axis = float(deviations.max()), int(deviations.argmax())
@@ -117,7 +120,7 @@ class LineShifts:
     def _is_feigned(self, sizes: np.ndarray) -> bool:
         """Return whether a coder's blocks, which move every eighth line alike, or edges along the lines explain what parts have in common."""
         lines = np.arange(len(self.shift))[:, None]
-        rms = float(np.sqrt((self.covariance()[0] * sizes**2).clip(0).sum()))
+        rms = float(np.sqrt(self.variance(sizes).sum())) / self.spread
         eighths = (lines % BLOCK == np.arange(BLOCK - 1)).astype(float)
         blocks = self._share_of(eighths, sizes) - self._share_of(lines % 2.0, sizes)
         if blocks > LEAST_SHARE and rms < MOST_OF_BLOCKS:
@@ -137,9 +140,7 @@ class LineShifts:
         amounts = np.linalg.lstsq(np.hstack([basis, cubic])[known], common[known], rcond=None)[0]
         course = basis @ amounts[: basis.shape[1]]
         rest = replace(self, shift=self.shift - (course - course.mean(0))[:, None])
-        before, after = (
-            float((one.covariance()[0] * sizes**2).clip(0).sum()) for one in (self, rest)
-        )
+        before, after = (float(one.variance(sizes).sum()) for one in (self, rest))
         return 1 - after / max(before, 1e-30)
 
 
@@ -285,9 +286,7 @@ def _describe(shifts: LineShifts, sizes: np.ndarray, lines: Lines, step: int) ->
     kinds = (shifts, shifts.slopes())
     displaced = [one.are_displaced(sizes) for one in kinds]
     shown = [k for k in (0, 1) if displaced[k][0]] or [int(displaced[1][1] > displaced[0][1])]
-    variance = [
-        np.maximum(kinds[k].covariance()[0], 0) * (sizes * kinds[k].spread) ** 2 for k in shown
-    ]
+    variance = [kinds[k].variance(sizes) for k in shown]
     along, across = np.sqrt(np.sum(variance, 0))
     most = shown[int(np.argmax([one.sum() for one in variance]))]
     return LineDisplacement(

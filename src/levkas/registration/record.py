@@ -67,11 +67,10 @@ def refusal(code: str, message: str, **details: Any) -> RegistrationRefused:
 
 
 class MatchState(StrEnum):
-    """State of a match in the table of matches."""
+    """State of a match in the table of matches; one to check measures and is never fitted."""
 
     KEPT = "kept"
     REMOVED = "removed"
-    #: Measures and is never fitted.
     CHECK = "check"
 
 
@@ -222,11 +221,11 @@ class Sigma:
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Return sigma at `points`, (n, 2) reference px → (n,) reference px; the rim's beyond it."""
-        column, u = _cell(self.x, points[:, 0])
-        row, v = _cell(self.y, points[:, 1])
-        table = self.values
-        upper = (1 - u) * table[row, column] + u * table[row, column + 1]
-        lower = (1 - u) * table[row + 1, column] + u * table[row + 1, column + 1]
+        (column, u), (row, v) = _cell(self.x, points[:, 0]), _cell(self.y, points[:, 1])
+        upper, lower = (
+            (1 - u) * self.values[r, column] + u * self.values[r, column + 1]
+            for r in (row, row + 1)
+        )
         return np.asarray((1 - v) * upper + v * lower)
 
     def nowhere_exceeds(self, other: Sigma) -> bool:
@@ -258,9 +257,8 @@ class Verdict:
     reasons: tuple[str, ...] = ()
     """One sentence each, with the numbers, in a user's words."""
     next_step: str = ""
-    """What to do; empty where nothing is to be done."""
     numbers: dict[str, Any] = field(default_factory=dict)
-    """The evidence, by name, JSON-ready."""
+    """The evidence by sensor, JSON-ready."""
     unchecked: float = 0.0
     """Share of the layer, 0 … 1, that does not show the object, or where nothing confirms the map."""
     outside: float = 0.0

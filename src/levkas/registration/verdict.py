@@ -57,7 +57,7 @@ class Evidence:
     terms: int
     """Coefficients of the map, of x and y each."""
     held_out_px: float
-    """Error in blocks to which the map was not fitted; infinite where too little was left to fit."""
+    """In blocks to which the map was not fitted; infinite where too little was left to fit."""
     overlap: float
     """Share of the object that the target shows."""
     folded: float
@@ -97,7 +97,7 @@ class Evidence:
     step: int = 1
     """Reference px per px of the grid on which it was judged."""
     scales: tuple[float, float] = SCALES
-    """Least and largest scale of a plausible map; maps of one scan may be coarser."""
+    """Of a plausible map; maps of one scan may be coarser."""
     object_share: float = 1.0
     """Share of the layer that shows the object."""
     held_out_p90: float | None = None
@@ -178,7 +178,6 @@ class Objection(NamedTuple):
     decision: Finding
     reason: str
     next_step: str
-    lacks_evidence: bool = False
 
 
 def _places(cells: Sequence[Sequence[float]]) -> str:
@@ -200,14 +199,10 @@ def _lines(e: Evidence) -> float:
 
 
 def _describe_lines(e: Evidence) -> str:
-    lines, followed = e.line_displacement, e.line_correction
-    texts = []
+    lines, followed, texts = e.line_displacement, e.line_correction, []
     if followed:
         apart = max(followed["uneven_px"], followed["error_px"])
-        texts = [
-            _displaced(followed["before"]),
-            f"The registration follows them to {apart:.2f} px.",
-        ]
+        texts = [_displaced(followed["before"]), f"The map follows them to {apart:.2f} px."]
     if lines and lines["displaced"]:
         texts.append(_displaced(lines))
     return " ".join(texts)
@@ -374,26 +369,25 @@ RULES = (
 
 def objections_to(evidence: Evidence) -> list[Objection]:
     """Return the objections of the rules to a map, in their order; where outlines agree all over, want of evidence is a doubt only."""
-    found = []
+    found, unsure, outlines = [], False, evidence.outlines
     for rule in RULES:
         number = rule.number(evidence) if evidence.basis in rule.on else -inf
-        for decision, limit, step in (
-            ("refuse", rule.refuse, rule.refused),
-            ("warn", rule.warn, rule.doubted),
-            ("note", rule.note, rule.noted),
-        ):
+        limits: tuple[tuple[Finding, float, str], ...] = (
+            ("refuse", rule.refuse, rule.refused), ("warn", rule.warn, rule.doubted), ("note", rule.note, rule.noted),
+        )  # fmt: skip
+        for decision, limit, step in limits:
             if number > limit:
+                unsure |= rule.lacks_evidence
                 by_outlines = rule.lacks_evidence and evidence.agree_by_outlines
-                kind: Finding = "warn" if decision == "refuse" and by_outlines else decision  # type: ignore[assignment]
-                found.append(Objection(kind, rule.sentence(evidence), step, rule.lacks_evidence))
+                kind = "warn" if decision == "refuse" and by_outlines else decision
+                found.append(Objection(kind, rule.sentence(evidence), step))
                 break
-    outlines = evidence.outlines
-    if outlines and evidence.agree_by_outlines and any(one.lacks_evidence for one in found):
+    if outlines and evidence.agree_by_outlines and unsure:
         text = (
             f"The outlines of {outlines['agreeing']} of {outlines['blocks']} large blocks agree with the map "
             f"within {outlines['px']:.1f} px. A finer check was not possible."
         )
-        return [Objection("warn", text, LOOK), *found]
+        found.insert(0, Objection("warn", text, LOOK))
     return found
 
 
@@ -429,19 +423,15 @@ def judge(
     listed = deciding if decision == "refuse" else [*deciding, *open_ones]
     reasons = (*praise, *(one.reason for one in listed))
     steps = (one.next_step for one in deciding or open_ones if deciding or one.next_step)
-    step, unchecked = (
-        next(steps, ""),
-        max((1 - one.confirmed for one in known.values()), default=0.0),
-    )
+    step = next(steps, "")
+    unchecked = max((1 - one.confirmed for one in known.values()), default=0.0)
     if placed and decision != "refuse":
         labels = [_where(name) + _describe_pairs(one) for name, one in placed.items()]
         decision, reasons, step, unchecked = "by hand", (*labels, *reasons), LOOK, 1.0
     nothing = {"held_out_px": None, "alike": False}
-    numbers = {
-        name: (one.to_dict() if one else nothing)
-        | ({"placed_by_hand": placed[name]} if name in placed else {})
-        for name, one in sensors.items()
-    }
+    numbers = {name: one.to_dict() if one else nothing for name, one in sensors.items()}
+    for name in placed.keys() & numbers.keys():
+        numbers[name] = numbers[name] | {"placed_by_hand": placed[name]}
     return Verdict(decision, reasons, step, numbers, unchecked, outside)
 
 
