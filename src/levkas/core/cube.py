@@ -19,15 +19,8 @@ if TYPE_CHECKING:
 
 
 class Flag(IntFlag):
-    """Bits of the flag field, one byte per pixel and band; docs/conventions.md describes each.
+    """Bits of the flag field, one byte per pixel and band; docs/conventions.md describes each. A value that is none raises ValueError.
 
-    Raises
-    ------
-    ValueError
-        Where a name is looked up by a value that is none, as ``Flag("glare")``.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> flags = np.array([[0, 2, 66]], np.uint8)
     >>> (flags & Flag.SATURATED > 0).tolist(), Flag(66)
@@ -64,15 +57,8 @@ class Band:
     """One channel of a cube: its label, such as ``"550 nm"`` or ``"R1"``, centre and full width at half maximum, nm.
 
     NaN where the channel is broad, or the width not known. A `bad` band is one that its file calls so: its values are
-    kept, and used for nothing.
+    kept, and used for nothing. Without a label it raises TypeError.
 
-    Raises
-    ------
-    TypeError
-        Without a label.
-
-    Examples
-    --------
     >>> Band("550 nm", 550.0, 10.0).wavelength
     550.0
     """
@@ -87,24 +73,11 @@ class Band:
 class Cube:
     """Values of one camera with what is known about each of them.
 
-    Parameters
-    ----------
-    values : ndarray, (height, width, bands), float32
-        Reflectance (1.0 is the perfect diffuser) or counts, as `quantity` says: ``"reflectance"`` or ``"counts"``.
-    flags : ndarray of the same shape, uint8
-        Bit field of `Flag`.
-    sigma : ndarray of the same shape, float32, or None
-        One standard deviation of the random part, in the unit of `values`.
-    bands : tuple of Band
-        In the order of the last axis.
+    `values`, (height, width, bands), float32, are reflectance (1.0 is the perfect diffuser) or counts, as `quantity` says:
+    ``"reflectance"`` or ``"counts"``. `flags`, uint8, has bits of `Flag`; `sigma`, float32 or None, is one standard deviation
+    of the random part, in the unit of `values`. Arrays that differ in shape, or do not have as many bands as `bands`, raise
+    ValueError.
 
-    Raises
-    ------
-    ValueError
-        Where the arrays differ in shape, or do not have as many bands as `bands`.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> grey = np.full((2, 3, 1), 0.5, np.float32)
     >>> cube = Cube(grey, np.zeros(grey.shape, np.uint8), None, (Band("550 nm", 550.0),))

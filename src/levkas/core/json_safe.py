@@ -14,8 +14,6 @@ def to_json(record: Any) -> str:
 
     Numpy numbers and arrays, tuples and paths become plain; anything else is a TypeError.
 
-    Examples
-    --------
     >>> print(to_json({"b": 1.0, "a": float("nan")}), end="")
     {
      "b": 1.0,

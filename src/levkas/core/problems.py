@@ -22,22 +22,9 @@ _ADDRESS = re.compile(rf"(?:.*?[/\\])?((?:{SCHEMES}):)[/\\]([^/\\].*)", re.IGNOR
 class Problem:
     """One thing that is wrong: what, where, what was found and expected, and what to do.
 
-    Parameters
-    ----------
-    code : str
-        Stable upper-case name, such as ``E_BAND_COUNT``.
-    message : str
-        One sentence: what is wrong.
-    file, field : str, optional
-        Where: a path, and a key, tag or header field in it.
+    `code` is a stable upper-case name, `message` one sentence that says what is wrong, `file` and `field` a path and a key, tag
+    or header field in it. Without code and message it raises TypeError.
 
-    Raises
-    ------
-    TypeError
-        Without a code and a message.
-
-    Examples
-    --------
     >>> print(Problem("E_BAND_COUNT", "the bands do not fit", file="nir/", found=31, expected=33))
     the bands do not fit (file: nir/; found: 31; expected: 33)
     """
@@ -163,13 +150,8 @@ def gathered(problems: Iterable[Problem], *, cut: bool = False) -> list[Problem]
 class Refused(Exception):
     """Refusal of an input, with every reason as a `Problem`; the base of every error of Levkas that a user can correct.
 
-    Raises
-    ------
-    Refused
-        Itself, by most functions, or one of its kinds: `CalibrationRefused`, `RegistrationRefused`, …
+    Most functions raise it, or one of its kinds: `CalibrationRefused`, `RegistrationRefused`, …
 
-    Examples
-    --------
     >>> try:
     ...     raise Refused(Problem("E_VALUE", "the scale is out of range", found=3.0, fix="Give 0 to 1."))
     ... except Refused as refused:

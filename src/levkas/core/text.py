@@ -36,6 +36,10 @@ CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
 _BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 
 
+class TooMuch(ValueError):
+    """A JSON record that is nested too deeply, or holds too much."""
+
+
 class TextRefused(Refused):
     """A file of text that cannot be read, is too large, or is not of its format."""
 
@@ -182,7 +186,8 @@ def read_json(path: Path) -> dict[str, Any]:
             "a JSON table, each key once, finite numbers",
         )
         fix = "Write the file again with its original program."
-        raise _refused(message, path, str(error)[:200], expected, fix) from error
+        code = "E_SIZE" if isinstance(error, TooMuch) else "E_UNREADABLE"
+        raise _refused(message, path, str(error)[:200], expected, fix, code) from error
     return record
 
 
@@ -198,11 +203,11 @@ def parse_json(text: str) -> Any:
     depth = 0
     for number, token in enumerate(_BRACKET.finditer(text)):
         if number == MOST_TOKENS:
-            raise ValueError(f"it holds over {MOST_TOKENS} texts and brackets")
+            raise TooMuch(f"it holds over {MOST_TOKENS} texts and brackets")
         if (letter := token[0][0]) != '"':
             depth += 1 if letter in "[{" else -1
             if depth > DEEPEST:
-                raise ValueError(f"it is nested over {DEEPEST} levels deep")
+                raise TooMuch(f"it is nested over {DEEPEST} levels deep")
     record = json.loads(
         text, object_pairs_hook=_unique, parse_constant=_finite, parse_float=_finite
     )

@@ -16,7 +16,8 @@ from levkas.calibration.patterns import channel_table, thin_periods
 from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.campaign.discovery.file_index import FolderListings, too_deep, walk_folders
 from levkas.core.problems import Problem, Refused
-from levkas.readers.frames import Facts, kind_of, read_frame
+from levkas.readers.facts import Facts
+from levkas.readers.frames import kind_of, read_frame
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera

@@ -54,15 +54,14 @@ def decode(
         data = _exactly(worker.stdout, found["bytes"])
     except (EOFError, OSError) as error:
         status = _stop(worker)
-        late = f"no end after {PATIENCE_S} s"
+        why = f"the decoder ended with status {status}"
         if status == OUT_OF_TIME:
-            late = "no end after as much processor time as its size allows"
-        crashed = timer.is_alive() and status != OUT_OF_TIME
-        found = {"error": f"the decoder ended with status {status}" if crashed else late}
-        raise _refused(path, found, expected) from error
-    except (
-        BaseException
-    ):  # an interrupted read too: what is left in the pipe would be the next answer
+            why = "no end after as much processor time as its size allows"
+        elif not timer.is_alive():
+            why = f"no end after {PATIENCE_S} s"
+        raise _refused(path, {"error": why}, expected) from error
+    except BaseException:
+        # An interrupted read too: what is left in the pipe would be the next answer.
         worker.kill()
         _stop(worker)
         raise

@@ -21,9 +21,9 @@ OVERFLOW = 65535
 """PhotographicSensitivity of a camera whose sensitivity is in the tags of 32 bits."""
 SENSITIVITIES = (
     *("ISOSpeedRatings", "PhotographicSensitivity", "RecommendedExposureIndex"),
-    *("StandardOutputSensitivity", "ISOSpeed", "ExposureIndex"),
+    *("StandardOutputSensitivity", "ISOSpeed"),
 )
-"""In the order of what cameras show as ISO."""
+"""In the order of what cameras show as ISO; the rational ExposureIndex is the last."""
 BALANCE = {0: "auto", 1: "manual"}
 """Values of the tag WhiteBalance."""
 RATIONAL = (5, 10)
@@ -91,44 +91,38 @@ def exif_facts(find: Callable[[str], Any]) -> dict[str, Any]:
     def text(*names: str) -> str | None:
         return next((found for name in names if (found := exif_text(find(name)))), None)
 
-    def code(name: str) -> int:
+    def first(name: str) -> Any:
         value = find(name)
-        first = value[0] if isinstance(value, list | tuple) and value else value
-        return int(first) if isinstance(first, int) else -1
+        return value[0] if isinstance(value, list | tuple) and value else value
 
+    def code(name: str) -> int:
+        return value if isinstance(value := first(name), int) else -1
+
+    def power_of_two(name: str, step: float) -> float | None:
+        # None of 0, as lenses without contacts have it, and of absurd values.
+        apex = finite_number(find(name))
+        return 2.0 ** (step * apex) if apex and abs(apex) <= LARGEST_APEX else None
+
+    # ISO of the 16 bits that every camera writes, unless these are full, else of the tags beside them.
+    speeds = [positive_number(first(name)) for name in SENSITIVITIES]
+    speeds.append(positive_number(find("ExposureIndex")))
+    known = [speed for speed in speeds if speed]
     control, orientation = finite_number(find("GainControl")), code("Orientation")
     return {
         "exposure_s": positive_number(find("ExposureTime"))
-        or _power_of_two(find("ShutterSpeedValue"), -1.0),
-        "iso": _sensitivity(find),
+        or power_of_two("ShutterSpeedValue", -1.0),
+        "iso": next((speed for speed in known if speed != OVERFLOW), known[0] if known else None),
         "gain": None if control is None else (("GainControl", f"{control:g}"),),
         "captured": iso_date(text("DateTimeOriginal", "DateTime"), find("OffsetTimeOriginal")),
         "make": text("Make"),
         "model": text("Model"),
         "serial": text("BodySerialNumber", "CameraSerialNumber"),
-        "f_number": positive_number(find("FNumber")) or _power_of_two(find("ApertureValue"), 0.5),
+        "f_number": positive_number(find("FNumber")) or power_of_two("ApertureValue", 0.5),
         "focal_mm": positive_number(find("FocalLength")),
         "lens": text("LensModel"),
         "white_balance": BALANCE.get(code("WhiteBalance")),
         "orientation": orientation if orientation in UPRIGHT else None,
     }
-
-
-def _sensitivity(find: Callable[[str], Any]) -> float | None:
-    """Return ISO: of the 16 bits that every camera writes, unless these are full, else of the tags beside them."""
-    found = []
-    for name in SENSITIVITIES:
-        value = find(name)
-        several = isinstance(value, tuple | list) and name != "ExposureIndex"
-        found.append(positive_number(value[0] if several and value else value))
-    known = [value for value in found if value]
-    return next((value for value in known if value != OVERFLOW), known[0] if known else None)
-
-
-def _power_of_two(value: Any, step: float) -> float | None:
-    """Return 2 to the power of an APEX value times `step`; None of 0, as lenses without contacts have it, and of absurd values."""
-    apex = finite_number(value)
-    return 2.0 ** (step * apex) if apex and abs(apex) <= LARGEST_APEX else None
 
 
 def exif_text(value: Any) -> str | None:

@@ -21,18 +21,6 @@ from levkas.readers.facts import WRONG, Facts, UnreadableCapture, refused
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
 from levkas.readers.raw import read_raw_headers
 
-__all__ = [
-    "Facts",
-    "UnreadableCapture",
-    "files_of",
-    "kind_of",
-    "read_facts",
-    "read_frame",
-    "read_headers",
-    "read_plane",
-    "read_sample",
-]
-
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 LARGEST_SAMPLE, BLOCK = 16 << 20, 60
 """Samples of a glimpse of a frame; rows that they are taken by."""
@@ -138,8 +126,7 @@ def read_facts(path: str | Path) -> Facts:
 
 @lru_cache(maxsize=MOST_FACTS)
 def _facts_of(path: Path, _stamp: Stamp) -> Facts:
-    facts: Facts = _call(kind_of(path), "facts", path)
-    return facts
+    return _call(kind_of(path), "facts", path)  # type: ignore[no-any-return]
 
 
 def read_headers(path: str | Path) -> Facts:

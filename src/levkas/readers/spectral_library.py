@@ -31,18 +31,9 @@ Library = tuple[np.ndarray, np.ndarray, list[str]]
 def read_spectra(path: str | Path) -> xarray.DataArray:
     """Read a library of spectra: ENVI's ``.sli`` or its header; a CSV of wavelength and a column a spectrum.
 
-    Returns
-    -------
-    spectra : xarray.DataArray, (spectrum, wavelength), float64
-        Reflectance, 1.0 = perfect diffuser; NaN where there is none. `wavelength`, nm, rises; `spectrum` has the names.
+    Returns reflectance, (spectrum, wavelength), float64, 1.0 = perfect diffuser, NaN where there is none; `wavelength`, nm,
+    rises; `spectrum` has the names. Raises UnreadableCapture where the file is none of these, is cut, or has no wavelengths.
 
-    Raises
-    ------
-    UnreadableCapture
-        Where the file is none of these, is cut, or has no wavelengths.
-
-    Examples
-    --------
     >>> path = folder / "blue.csv"
     >>> _ = path.write_text("nm,azurite\\n400,0.2\\n500,0.3\\n")
     >>> read_spectra(path).sel(spectrum="azurite").interp(wavelength=450).item()
@@ -51,14 +42,8 @@ def read_spectra(path: str | Path) -> xarray.DataArray:
     import xarray
 
     path = Path(path)
-    head = b""
-    if path.is_file():
-        with path.open("rb") as file:
-            head = file.read(4)
-    if path.suffix.lower() in (".sli", ".hdr") or head.startswith(b"ENVI"):
-        nm, values, names = _read_sli(path)
-    else:
-        nm, values, names = _read_text(path)
+    envi = path.suffix.lower() in (".sli", ".hdr")
+    nm, values, names = _read_sli(path) if envi else _read_text(path)
     order = np.argsort(nm, kind="stable")
     facts = {"units": "nm", "standard_name": "radiation_wavelength"}
     return xarray.DataArray(
@@ -73,20 +58,9 @@ def read_spectra(path: str | Path) -> xarray.DataArray:
 def write_spectra(path: str | Path, spectra: xarray.DataArray) -> list[Path]:
     """Write a library of spectra, as `read_spectra` returns them: ``.sli`` with its header for ENVI, or ``.csv``.
 
-    One spectrum alone may be (wavelength,).
+    One spectrum alone may be (wavelength,). Returns the files, the header last; raises ValueError of another suffix or other
+    dimensions, WriteRefused where the disk refuses.
 
-    Returns
-    -------
-    written : list of Path
-        The files, the header last.
-
-    Raises
-    ------
-    ValueError
-        Of another suffix or other dimensions; WriteRefused where the disk refuses.
-
-    Examples
-    --------
     >>> import xarray
     >>> one = xarray.DataArray([0.2, 0.3], {"wavelength": [400.0, 500.0]}, ("wavelength",), name="azurite")
     >>> [made.name for made in write_spectra(folder / "blue.sli", one)]

@@ -19,7 +19,7 @@ from levkas.readers.wavelengths import RANGE_NM, centres_in_names, is_plausible
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera
     from levkas.campaign.schema.tables import SensorKeys
-    from levkas.readers.frames import Facts
+    from levkas.readers.facts import Facts
 
 Key = float | str
 SAME_DECIMALS = 6

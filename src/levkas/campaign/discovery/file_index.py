@@ -22,7 +22,7 @@ from levkas.core.text import TextRefused, read_text
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
-    from levkas.readers.frames import Facts
+    from levkas.readers.facts import Facts
 
 PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
 """Names that an interrupted writer leaves behind."""
