@@ -41,7 +41,11 @@ def register_rows(start, stop, pictures, edges, limits, sizes, found):  # type: 
                         least = alike
                         best[:] = one
             if least >= 0.0 and least != FOUND:
-                _keep(found, i, part, (best[0], best[1]), (best[2], best[3], best[4]))
+                # The information on either component where the other one is unknown.
+                xx, xy, yy = best[2], best[3], best[4]
+                found[0][i, part, 0], found[0][i, part, 1] = best[0], best[1]
+                found[1][i, part, 0] = max(xx - xy * xy / max(yy, 1e-30), 0.0)
+                found[1][i, part, 1] = max(yy - xy * xy / max(xx, 1e-30), 0.0)
 
 
 @njit
@@ -73,15 +77,6 @@ def _register(pictures, i, span, start, settings, work, out):  # type: ignore[no
         if not (abs(dx) <= most and abs(dy) <= most):
             return -1.0
     return -1.0
-
-
-@njit
-def _keep(found, i, part, shift, known):  # type: ignore[no-untyped-def]
-    """Write a shift, and the information on either component where the other one is unknown."""
-    xx, xy, yy = known
-    found[0][i, part, 0], found[0][i, part, 1] = shift
-    found[1][i, part, 0] = max(xx - xy * xy / max(yy, 1e-30), 0.0)
-    found[1][i, part, 1] = max(yy - xy * xy / max(xx, 1e-30), 0.0)
 
 
 @njit

@@ -159,12 +159,11 @@ class SelectedModel:
         """
         if not self.folds:
             return np.full(len(points), np.nan)
-        jacobian = self.transform.jacobian(points)
-        here, total = self.transform(points), np.zeros(len(points))
-        for one in self.folds:
-            moved = solve_2x2(jacobian, one.transform(points) - here)
-            total += (1 - one.without) / one.without * (moved**2).sum(1) / 2
-        return np.sqrt(total / len(self.folds) + self._spread(points, NEAR))
+        off = self._off([one.transform for one in self.folds], points)
+        total = sum(
+            (1 - one.without) / one.without * v for one, v in zip(self.folds, off, strict=True)
+        )
+        return np.asarray(np.sqrt(total / len(self.folds) + self._spread(points, NEAR)))
 
     def sigma_beyond(self, points: np.ndarray) -> np.ndarray:
         """Return the spread, (n,) reference px, of models that may be right beyond what was measured."""
@@ -172,14 +171,19 @@ class SelectedModel:
 
     def _spread(self, points: np.ndarray, near: float) -> np.ndarray:
         """Return the variance, of either axis, of other models about this one, each by its weight."""
-        models = self.comparison.alternatives(near) if self.comparison else ()
-        jacobian, here = self.transform.jacobian(points), self.transform(points)
-        weights = 1 + sum(weight for _, weight in models)
+        models = self.comparison.alternatives(near) if self.comparison else []
+        total = 1 + sum(weight for _, weight in models)
         variance = np.zeros(len(points))
-        for transform, weight in models:
-            apart = solve_2x2(jacobian, transform(points) - here)
-            variance += weight / weights * (apart**2).sum(1) / 2
+        for (_, weight), off in zip(
+            models, self._off([one for one, _ in models], points), strict=True
+        ):
+            variance += weight / total * off
         return variance
+
+    def _off(self, transforms: Sequence[Transform], points: np.ndarray) -> list[np.ndarray]:
+        """Return the mean square, of either axis, (n,) px², by which other maps lie off this one at `points`."""
+        jacobian, here = self.transform.jacobian(points), self.transform(points)
+        return [(solve_2x2(jacobian, t(points) - here) ** 2).sum(1) / 2 for t in transforms]
 
 
 def select_model(

@@ -216,17 +216,15 @@ class ReferenceStack:
         """Return the predictor on a grid of `step` reference px."""
         with self._lock:
             if step not in self._predictors:
-                self._predictors[step] = self._predictor(step)
+                palette = self.palette
+                if step > 1:
+                    # The target's samples are averages taken through the spline; so are these.
+                    small = [blur(reduce(image, step), (1, 4, 1)) for image in palette.images]
+                    palette = replace(palette, images=np.stack(small))
+                images = palette.high_passed().images
+                cell = cell_px(images.shape[1:])
+                self._predictors[step] = Predictor(images, step=step, cell=cell)
             return self._predictors[step]
-
-    def _predictor(self, step: int) -> Predictor:
-        palette = self.palette
-        if step > 1:
-            # The target's samples are averages taken through the spline; so are these.
-            small = np.stack([blur(reduce(image, step), (1, 4, 1)) for image in palette.images])
-            palette = PredictorBasis(small, palette.loadings, palette.groups)
-        images = palette.high_passed().images
-        return Predictor(images, step=step, cell=cell_px(images.shape[1:]))
 
 
 class PreparedReference:
