@@ -175,16 +175,10 @@ def test_sweep_spares_what_is_being_written(tmp_path):
 @pytest.mark.parametrize("name", ["../out", "a/../../out", "/out"])
 def test_no_name_leads_out_of_a_folder_that_is_written(tmp_path, name):
     (tmp_path / "source").write_bytes(b"x")
-    with (
-        pytest.raises(WriteRefused),
-        files.publishing(tmp_path / "b" / "c") as folder,
-    ):
-        folder.write_bytes(name, b"y")
-    with (
-        pytest.raises(WriteRefused),
-        files.publishing(tmp_path / "b" / "c") as folder,
-    ):
-        folder.copy_file(tmp_path / "source", name)
+    source = tmp_path / "source"
+    for write in (lambda f: f.write_bytes(name, b"y"), lambda f: f.copy_file(source, name)):
+        with pytest.raises(WriteRefused), files.publishing(tmp_path / "b" / "c") as folder:
+            write(folder)
     assert state(tmp_path) == {"source": b"x"}
 
 
@@ -259,12 +253,8 @@ def test_two_writers_of_one_folder_both_succeed(tmp_path):
 
 
 def test_json_holds_no_nan_and_takes_numpy(tmp_path):
-    record = {
-        "x": np.float32("nan"),
-        "n": np.int64(3),
-        "a": np.array([[1.0, np.inf]]),
-        "p": tmp_path,
-    }
+    listed = np.array([[1.0, np.inf]])
+    record = {"x": np.float32("nan"), "n": np.int64(3), "a": listed, "p": tmp_path}
     files.write_json(tmp_path / "r.json", record)
     read = json.loads((tmp_path / "r.json").read_text("utf-8"))
     assert read == {"x": None, "n": 3, "a": [[1.0, None]], "p": tmp_path.as_posix()}

@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from levkas.core.files import write_json
+from levkas.core.problems import Refused
 from levkas.database.pixel_frames import (
     MappingRefused,
     find_map,
     find_position_sigma,
     map_points,
     map_table,
-    parse_frame,
 )
 from levkas.geometry.transforms import Affine, Composed, Homography, Polynomial
 
@@ -102,25 +102,14 @@ def test_an_edge_that_went_through_a_map_is_still_on_the_image(database):
     np.testing.assert_allclose(back, corners, atol=1e-9)
 
 
-@pytest.mark.parametrize("text", ["", ":R", "a:", "a@", "@s", "a@:R"])
-def test_what_is_no_frame_is_refused(text):
-    with pytest.raises(MappingRefused):
-        parse_frame(text)
+NO_FRAMES = ["", ":R", "a:", "a@", "@s", "a@:R", "nir", "vis:700 nm", "v10"]
 
 
 @pytest.mark.parametrize(
     ("name", "source"),
-    [
-        ("icon2", "grid"),
-        ("../icon1", "grid"),
-        ("icon1", "nir"),
-        ("icon1", "vis:700 nm"),
-        ("icon1", "v10"),
-    ],
+    [("icon2", "grid"), ("../icon1", "grid"), *(("icon1", frame) for frame in NO_FRAMES)],
 )
-def test_frames_that_are_not_there_are_refused(database, name, source):
-    from levkas.core.problems import Refused
-
+def test_frames_that_are_none_or_not_there_are_refused(database, name, source):
     with pytest.raises(Refused):
         map_points(database, name, np.zeros((1, 2)), source=source, target="grid")
 

@@ -89,14 +89,7 @@ def test_blocks_of_any_height_give_the_bytes_of_the_whole(tmp_path_factory, shap
     np.testing.assert_array_equal(data["values"].values, cube.values)
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [
-        (1040, 1392, 121),
-        (100, 300000, 1000),
-        (9, 9, 50000),
-    ],
-)
+@pytest.mark.parametrize("shape", [(1040, 1392, 121), (100, 300000, 1000), (9, 9, 50000)])
 def test_shards_are_below_the_limit_and_whole_chunks(shape):
     chunks, shards = chunks_of(shape)
     assert 4 * np.prod(shards, dtype=np.int64) <= 256_000_000
@@ -107,23 +100,12 @@ def test_shards_are_below_the_limit_and_whole_chunks(shape):
 
 def test_rows_that_are_missing_or_too_many_leave_no_layer(tmp_path):
     cube = cube_of()
-    for rows in (60, 80):
-        with (
-            pytest.raises(ValueError, match="rows"),
-            writing_layer(
-                tmp_path / "a.zarr", "cam", shape=(70, 90, 5), bands=cube.bands, attributes={}
-            ) as layer,
-        ):
-            layer.write_rows(
-                *(np.resize(a, (rows, 90, 5)) for a in (cube.values, cube.flags, cube.sigma))
-            )
-    with (
-        pytest.raises(ValueError, match="was given"),
-        writing_layer(
-            tmp_path / "a.zarr", "cam", shape=(70, 90, 5), bands=cube.bands, attributes={}
-        ) as layer,
-    ):
-        layer.write_rows(cube.values, cube.flags)
+    parts = (cube.values, cube.flags, cube.sigma)
+    several = [[np.resize(part, (rows, 90, 5)) for part in parts] for rows in (60, 80)]
+    facts = {"shape": (70, 90, 5), "bands": cube.bands, "attributes": {}}
+    for given_ in (*several, parts[:2]):
+        with pytest.raises(ValueError), writing_layer(tmp_path / "a.zarr", "cam", **facts) as layer:
+            layer.write_rows(*given_)
     assert [p.name for p in (tmp_path / "a.zarr").iterdir()] == ["zarr.json"]
 
 

@@ -25,8 +25,8 @@ from levkas.core.internal_errors import InternalError
 from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
 from levkas.database.catalogue import MEASURED, DatabaseRefused, Entry, entry_of, read_catalogue
-from levkas.database.containment import stays_inside
 from levkas.database.layout import LayerId, layer_name
+from levkas.database.manifest import stays_inside
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -92,8 +92,7 @@ def _not_apart(campaign: Campaign, why: str, output: str | Path) -> CampaignInva
 
 def _foreign(campaign: Campaign, places: Places, objects: set[str]) -> Iterator[Problem]:
     """Yield what stands where the build would write, and is not of this campaign's builds."""
-    from levkas.database.containment import find_escapes
-    from levkas.database.manifest import walk_files
+    from levkas.database.manifest import find_escapes, walk_files
 
     output, kept = places.output, places.kept
     found, beside = stands_in(output), stands_in(kept)

@@ -14,8 +14,8 @@ from sys import intern
 from levkas.core.files import write_changed
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import TextRefused, missing_path, read_text
-from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.layout import LayerId
+from levkas.database.manifest import check_inside, check_plain_names
 from levkas.database.remote import is_remote, place
 
 NAME = "catalogue.csv"

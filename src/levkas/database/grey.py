@@ -1,6 +1,5 @@
 """Grey pictures of layers: the mean of all bands where every band has a value."""
 
-# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 from math import ceil, sqrt
@@ -8,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.core.compiled import njit
 from levkas.core.cube import Flag
 from levkas.database.tiff_pages import open_pages
 
@@ -24,10 +22,13 @@ def grey_of(
 
     Of every `step`-th pixel a side of a layer, of which these are the rows from `first` on.
     """
-    part = np.s_[-first % step :: step, ::step]
-    values, flags = (np.ascontiguousarray(a[part]) for a in (values, flags))
-    grey: tuple[np.ndarray, np.ndarray] = _mean_inside(values, flags, np.uint8(Flag.OUTSIDE))
-    return grey
+    values, flags = (a[-first % step :: step, ::step] for a in (values, flags))
+    height, width, bands = values.shape
+    total, inside = np.zeros((height, width)), np.ones((height, width), bool)
+    for band in range(bands):  # in this order, whatever the number of rows
+        total += values[..., band]
+        inside &= (flags[..., band] & np.uint8(Flag.OUTSIDE)) == 0
+    return np.where(inside, total / bands, 0.0).astype(np.float32), inside
 
 
 def grey_step(height: int, width: int) -> int:
@@ -41,26 +42,7 @@ def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
     height, width, _ = values.shape
     step = grey_step(height, width)
     tops = range(0, height, ROWS)
-    parts = [
-        grey_of(values.read(top, top + ROWS), flags.read(top, top + ROWS), top, step)
-        for top in tops
-    ]
+    blocks = ([one.read(top, top + ROWS) for one in (values, flags)] for top in tops)
+    parts = [grey_of(*block, top, step) for top, block in zip(tops, blocks, strict=True)]
     mean, inside = zip(*parts, strict=True)
     return np.concatenate(mean), np.concatenate(inside)
-
-
-@njit(cache=True)
-def _mean_inside(values, flags, outside):
-    height, width, bands = values.shape
-    mean = np.zeros((height, width), np.float32)
-    inside = np.ones((height, width), np.bool_)
-    for y in range(height):
-        for x in range(width):
-            total = 0.0
-            for b in range(bands):
-                total += values[y, x, b]
-                if flags[y, x, b] & outside:
-                    inside[y, x] = False
-            if inside[y, x]:
-                mean[y, x] = total / bands
-    return mean, inside

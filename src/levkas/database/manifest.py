@@ -1,4 +1,4 @@
-"""manifest-sha256.txt: the hash and the size of every published file, in lines that others read too.
+"""The files of a database: which there are, that none leads out of its folder, and manifest-sha256.txt with the hash and size of each.
 
 A line is ``HASH  relative/path``, as in BagIt and as ``sha256sum -c`` and ``shasum -a 256 -c`` take
 it; what only Levkas reads (sizes, and a hash of the manifest itself) is in comment lines.
@@ -10,17 +10,17 @@ import hashlib
 import os
 import re
 import unicodedata
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
+from functools import lru_cache
+from pathlib import Path, PurePath
 
 from levkas.core.digests import hash_file
 from levkas.core.files import DROPPINGS, PARTIAL, write_changed
 from levkas.core.machine import count_threads
-from levkas.core.problems import Problem
-from levkas.core.text import DEEPEST
-from levkas.database.containment import stays_inside
+from levkas.core.problems import Problem, Refused
+from levkas.core.text import DEEPEST, unusable_name, what_stands_at
 
 NAME = "manifest-sha256.txt"
 LARGEST = 256 << 20
@@ -143,3 +143,79 @@ def is_partial(name: str) -> bool:
 def plain(name: str) -> str:
     """Return a name as it is compared: some file systems hand accents back in another spelling."""
     return unicodedata.normalize("NFC", name)
+
+
+class LinkRefused(Refused):
+    """A file of a database is a link, or lies behind one, that leads out of the database."""
+
+
+@lru_cache(maxsize=4096)
+def is_plain_name(name: str) -> bool:
+    """Whether a name is one part of a path and no way up, on this system.
+
+    >>> [is_plain_name(n) for n in ("icon 1", "..", "a/b", "/a", "")]
+    [True, False, False, False, False]
+    """
+    return PurePath(name).parts == (name,) and stays_inside(name) and not unusable_name(name)
+
+
+def stays_inside(name: str) -> bool:
+    """Whether a path is relative and leads up nowhere, on this system.
+
+    >>> [stays_inside(n) for n in ("objects/icon1/a.tif", "../a", "/a", "a/../..", "")]
+    [True, False, False, False, False]
+    """
+    path = PurePath(name)
+    return bool(name) and not path.anchor and ".." not in path.parts and "\0" not in name
+
+
+def check_plain_names(*names: str) -> None:
+    """Raise ValueError for the first of some names of objects, cameras or setups that is a path, or too long."""
+    for name in names:
+        if why := unusable_name(name):
+            raise ValueError(f"{name[:40]!r} is not a name: {why}")
+        if not is_plain_name(name):
+            raise ValueError(f"{name!r} is not a name; it points to another folder")
+
+
+def find_escapes(root: Path, names: Iterable[str]) -> Iterator[Problem]:
+    """Yield a problem for each of some files and links that cannot be read as a file of its own database.
+
+    ``E_LINK`` for a link that leads out, ``E_UNREADABLE`` for a pipe, a socket or a device; one to nothing is reported as missing.
+    """
+    if not isinstance(root, Path):  # on a server, where there are no links
+        return
+    for name in names:
+        text = f"{root}{os.sep}{name}"
+        link = os.path.islink(text)  # noqa: PTH114
+        if os.path.isfile(text) and not link:  # noqa: PTH113 -- thousands of them
+            continue
+        path, found = root / name, what_stands_at(root / name)
+        if link and (outside := _place_outside(root, path)):
+            yield _stray("E_LINK", path, "a link points outside the database", outside)
+        elif found not in ("a file", "a folder", "no such file") and not (link and "link" in found):
+            yield _stray("E_UNREADABLE", path, "it is not a file", found)
+
+
+def check_inside(root: Path, *paths: Path) -> None:
+    """Refuse files of a database that lie, all links followed, outside it; those that are not there pass.
+
+    Raises LinkRefused: ``E_LINK`` with every such file.
+    """
+    if isinstance(root, Path):
+        places = [(path, _place_outside(root, path)) for path in paths]
+        why = "a link points outside the database"
+        if wrong := [_stray("E_LINK", path, why, place) for path, place in places if place]:
+            raise LinkRefused(*wrong)
+
+
+def _place_outside(root: Path, path: Path) -> str:
+    """Return where a path leads, all links followed, if that is outside a folder; ``""`` where it is inside."""
+    place = os.path.realpath(path)
+    return "" if place.startswith(os.path.join(os.path.realpath(root), "")) else place  # noqa: PTH118 -- once a file that is opened
+
+
+def _stray(code: str, path: Path, why: str, found: str) -> Problem:
+    what, expected = f"{path.name}: {why}", "a file of the database itself"
+    fix = "Replace the entry by the file itself, or remove it."
+    return Problem(code, what, str(path), found=found, expected=expected, fix=fix)

@@ -17,9 +17,9 @@ from xarray.core import indexing
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
 from levkas.database.catalogue import DatabaseRefused
-from levkas.database.containment import check_inside
 from levkas.database.described import channel_shapes, describe_pages
 from levkas.database.layout import KINDS, SIGMA, LayerId
+from levkas.database.manifest import check_inside
 from levkas.database.remote import RemotePath, is_remote, place
 from levkas.database.store import DIMENSIONS, flag_attributes
 from levkas.database.tiff_pages import DAMAGE, TiffPages, open_pages
@@ -111,7 +111,7 @@ def open_pixels(path: Path) -> xarray.DataArray:
     kind, bands = described.quantity.split(" ")[0], described.bands
     columns = [b.label for b in bands], [b.wavelength for b in bands], [b.fwhm for b in bands]
     name = kind if kind in KINDS else "values"
-    return _labelled(_TiffPixels(pages), columns, described.facts, name)
+    return _labelled(_TiffPixels(path, pages), columns, described.facts, name)
 
 
 def _labelled(
@@ -164,12 +164,12 @@ class _LazyArray(BackendArray):
 class _TiffPixels(_LazyArray):
     """The band pages of a spectral TIFF; of each band only the strips that are needed are read."""
 
-    def __init__(self, pages: TiffPages) -> None:
-        self._pages, self.path = pages, pages.path
-        self.shape, self.dtype = pages.shape, pages.dtype
+    def __init__(self, path: Path, pages: TiffPages | None = None) -> None:
+        self._pages, self.path = pages or open_pages(path), path
+        self.shape, self.dtype = self._pages.shape, self._pages.dtype
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _reopened, (self.path,)
+        return type(self), (self.path,)
 
     def _read(self, key: tuple[Any, ...]) -> np.ndarray:
         rows, columns, bands = (
@@ -178,10 +178,6 @@ class _TiffPixels(_LazyArray):
         start, stop = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 0)
         block = self._pages.read(start, stop, bands.tolist())[np.ix_(rows - start, columns)]
         return block[tuple(0 if isinstance(k, int | np.integer) else slice(None) for k in key)]
-
-
-def _reopened(path: Path) -> _TiffPixels:
-    return _TiffPixels(open_pages(path))
 
 
 class _ZarrArray(_LazyArray):

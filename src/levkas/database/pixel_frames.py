@@ -14,8 +14,8 @@ from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.core.text import missing_path
 from levkas.database.catalogue import database_of
-from levkas.database.containment import check_inside, is_plain_name
 from levkas.database.layout import layer_name
+from levkas.database.manifest import check_inside, is_plain_name
 from levkas.database.registrations import RecordRefused, beyond_checks, read_registration
 from levkas.database.remote import is_remote
 from levkas.geometry import from_dict

@@ -14,7 +14,7 @@ import numpy as np
 
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import counted, read_json
-from levkas.database.containment import check_inside, check_plain_names
+from levkas.database.manifest import check_inside, check_plain_names
 from levkas.geometry import from_dict
 from levkas.readers.orientation import describe_turn, grid_keys
 from levkas.registration.advice import describe_placement
@@ -217,9 +217,7 @@ def _slope(grid: Mapping[str, Any]) -> np.ndarray:
 def unchecked_share(record: Mapping[str, Any], key: str = "unchecked") -> float:
     """Return the share of a layer, 0 … 1, where nothing confirms its map; 0 where a record has none. ``"outside"``: the part outside the object's outline."""
     share = (record.get("verdict") or {}).get(key)
-    if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
-        return 0.0
-    return float(share)
+    return float(share) if type(share) in (int, float) and 0 <= share <= 1 else 0.0
 
 
 def unchecked_mm2(record: Mapping[str, Any]) -> float | None:

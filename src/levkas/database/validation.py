@@ -19,8 +19,15 @@ from levkas.database.catalogue import (
     no_database,
     read_catalogue,
 )
-from levkas.database.containment import find_escapes
-from levkas.database.manifest import NAME, Listed, is_partial, list_files, plain, read_manifest
+from levkas.database.manifest import (
+    NAME,
+    Listed,
+    find_escapes,
+    is_partial,
+    list_files,
+    plain,
+    read_manifest,
+)
 from levkas.database.remote import THREADS, RemoteRefused, is_remote
 
 
@@ -176,10 +183,8 @@ def _damage_of(
 
 
 def _unlisted(root: Path, name: str) -> Problem:
-    what, fix = "this file is not in the manifest", "Remove it; only a build adds files here."
-    if is_partial(name):
-        what, fix = "a file that was never finished", "The next build removes it."
-    return Problem("E_EXTRA", what, str(root / name), fix=fix)
+    what = "a file that was never finished" if is_partial(name) else "a file of no build"
+    return Problem("E_EXTRA", what, str(root / name), fix="Remove it.")
 
 
 def _hash(path: Path) -> str:

@@ -24,11 +24,10 @@ from levkas.database.catalogue import (
     read_catalogue,
     write_catalogue,
 )
-from levkas.database.containment import check_plain_names
 from levkas.database.credits import Credits
 from levkas.database.layers import Layer, write_layer
 from levkas.database.layout import MADE_OF, LayerId
-from levkas.database.manifest import write_manifest
+from levkas.database.manifest import check_plain_names, write_manifest
 from levkas.database.reader import Database
 from levkas.database.region_uncertainty import mean_correlation, read_budget
 from levkas.database.store import write_index

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from levkas.campaign.edits import FILE_NAME as EDITS
 from levkas.campaign.schema.toml import read_toml
-from levkas.database.containment import stays_inside
 from levkas.database.manifest import NAME as MANIFEST
+from levkas.database.manifest import stays_inside
 
 if TYPE_CHECKING:
     from levkas.publish.publication import Publication

@@ -340,8 +340,7 @@ def find_manifest(database: Path) -> Manifest:
     """
     from levkas.database.catalogue import NAME as CATALOGUE
     from levkas.database.catalogue import read_catalogue
-    from levkas.database.containment import find_escapes
-    from levkas.database.manifest import NAME, is_partial, list_files, read_manifest
+    from levkas.database.manifest import NAME, find_escapes, is_partial, list_files, read_manifest
 
     path = database / NAME
     if (absent := missing_path(database)) is not None:

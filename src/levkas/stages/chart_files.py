@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.problems import Problem, unknown_name
-from levkas.database.containment import check_inside
+from levkas.database.manifest import check_inside
 from levkas.quality.targets.charts import Chart, ChartRefused, kind_of
 from levkas.quality.targets.edges import EdgePlace
 from levkas.readers.frames import read_facts, read_frame

@@ -11,8 +11,8 @@ import numpy as np
 
 from levkas.core.cube import Band
 from levkas.core.problems import Problem, Refused
-from levkas.database.containment import check_inside
 from levkas.database.layout import LayerId
+from levkas.database.manifest import check_inside
 
 KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
 

@@ -12,8 +12,8 @@ import numpy as np
 from levkas.calibration.error_sources import COVERAGE
 from levkas.core.problems import Problem, Refused, closest_match
 from levkas.core.text import missing_path
-from levkas.database.containment import check_inside
 from levkas.database.layout import Places, layer_name
+from levkas.database.manifest import check_inside
 from levkas.database.pixel_frames import warn_of_turns
 from levkas.database.registrations import read_registration, read_registrations
 from levkas.database.remote import is_remote, place

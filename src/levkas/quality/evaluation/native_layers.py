@@ -6,8 +6,8 @@ from glob import escape
 from pathlib import Path
 
 from levkas.core.problems import Problem, Refused
-from levkas.database.containment import check_inside
 from levkas.database.layout import layer_name
+from levkas.database.manifest import check_inside
 
 
 class ComparisonRefused(Refused):
