@@ -1,8 +1,7 @@
 """What the codes of raw frames show: their spacing and place in a word, the bits that they have, and the code at which a sensor is full.
 
-Noise never falls with the light: photons have shot noise. Where values at the top of all codes differ less than dimmer ones,
-or than those without light, they show no light any more. The hard end of a converter is one code; a full well with read-out
-noise behind it is a hill of codes.
+The hard end of a converter is one code, at which pixels pile up; a full well with read-out noise behind it is a hill of codes. Noise
+never falls with the light, for photons have shot noise: values at the top that differ less than dimmer ones show no light any more.
 """
 
 from __future__ import annotations
@@ -19,58 +18,31 @@ from levkas.readers.compared_facts import Severity
 if TYPE_CHECKING:
     from levkas.readers.facts import Facts
 
-AT_A_TIME = (
-    1 << 20
-)  # codes that are counted at a time: NumPy makes whole numbers of 8 bytes of them
-MOST_CODES = 1 << 16
-FEWEST_LEVELS, WINDOW, FILLED = (
-    64,
-    24,
-    4,
-)  # that show a curve; gaps of a point of it; pixels of a level
-MISFIT, STRETCHED = (
-    0.05,
-    1.4,
-)  # of the gaps, in four windows of five; widest over narrowest spacing of a curve
-SHIFTS = (
-    2,
-    4,
-)  # spacing over another's from which codes stand at the upper end; where no editor of 15 bits made them
-LEAST_COUNTS = 16  # that no fraction of a full scale reaches: gloss is 3 or 4 times a white
-STRAY = 0.01  # share of codes that may stand between the others: saturated ones, and defects that a camera replaced
-FEWEST_SPACED, DENSE = (
-    (4, 16),
-    0.25,
-)  # codes, all even or of another spacing, that are no chance; share of multiples
-LEAST_LEVELS, EVEN = (
-    16,
-    0.9,
-)  # codes that say something of bits; of the spacing of 8 bits that were stretched
-FEWEST, RARE = (
-    40,
-    0.02,
-)  # pixels of a pile; pixels above it, over those in it: cosmic rays, hot sensels
-STEEP, NEAR = (
-    4.0,
-    0.01,
-)  # pixels at the hard end over those at any code within so much of it: noise of half a code has 4.3
-NOISY = 0.5  # share of neighbours that differ: noise of half a code
-ZONES = (0.94, 0.97, 0.99)  # of the brightest, that may be a hill: full wells vary by some 1 %
-COMPARED, BINS = (0.3, 0.9), 12  # of a zone's foot: levels whose noise it is compared with
-QUIETER = 0.2  # of the least variance at these levels: shot noise alone leaves 1 / 0.3 of it
-LIKE_DARK, STILL = (
-    6.0,
-    0.002,
-)  # of the variance of a dark, which clipping may leave a third of; of the brightest without a dark
-SPREADS = 3.0  # of a hill, from its middle to its foot
-STEADY = (
-    1 / 3
-)  # of one frame's values beyond a foot: so many all frames have there, unless noise lifts them
-QUIET, ROUNDED, BRIGHT = (
-    2.0,
-    0.5,
-    100.0,
-)  # of the dark's variance; counts that means are rounded by; of its noise: a white
+AT_A_TIME, MOST_CODES = 1 << 20, 1 << 16
+"""Codes that are counted at a time: NumPy makes whole numbers of 8 bytes of them; codes of 16 bits."""
+FEWEST_LEVELS, FILLED, STRAY = 64, 4, 0.01
+"""Codes that show a spacing; pixels of each; share of codes between the others: saturated ones, and defects that a camera replaced."""
+SHIFTS, LEAST_COUNTS = (2, 4), 16
+"""Spacing over another's from which codes stand at the upper end, and where no editor of 15 bits made them; counts that no
+fraction of a full scale reaches: gloss is 3 or 4 times a white."""
+FEWEST_SPACED, DENSE = (4, 16), 0.25
+"""Codes, all even or of another spacing, that are no chance; share of the multiples of a spacing that occur."""
+LEAST_LEVELS, EVEN = 16, 0.9
+"""Codes that say something of bits; of the spacing of 8 bits that were stretched."""
+FEWEST, RARE = 40, 0.02
+"""Pixels of a pile; pixels above it, over those in it: cosmic rays, hot sensels."""
+STEEP, NEAR, NOISY = 4.0, 0.01, 0.5
+"""Pixels at the hard end over those at any code within so much of it: noise of half a code has 4.3; share of neighbours that
+differ: noise of half a code."""
+ZONES, COMPARED, BINS = (0.94, 0.97, 0.99), (0.3, 0.9), 12
+"""Of the brightest, where a hill may begin: full wells vary by some 1 %; of that, levels whose noise it is compared with, and their steps."""
+QUIETER, LIKE_DARK, STILL = 0.2, 6.0, 0.002
+"""Variance of a hill at most: of the least at these levels (shot noise alone leaves 1 / 0.3 of it), of a dark's (which clipping may
+leave a third of), and its deviation, of the brightest, without a dark."""
+SPREADS, STEADY = 3.0, 1 / 3
+"""Deviations of a hill from its middle to its foot; of one frame's values beyond it: so many all have there, unless noise lifts them."""
+QUIET, ROUNDED, BRIGHT = 2.0, 0.5, 100.0
+"""Variance of a quiet white over the dark's; deviation, counts, that rounding hides; light of a white over the dark's deviation."""
 
 
 # --- spacing --------------------------------------------------------------------------------------
@@ -238,7 +210,7 @@ def doubt_codes(
 
 
 class SceneShots(NamedTuple):
-    """Shots of one scene at one exposure, codes (h, w) or (h, w, b), thinned alike by whole rows; `even` is a white."""
+    """Shots of one scene at one exposure, codes (h, w) or (h, w, b), thinned by whole rows; `even` is a white."""
 
     shots: Sequence[np.ndarray]
     even: bool = False
@@ -283,9 +255,9 @@ def find_full_scale(
 ) -> FullScale | None:
     """Return the code at which frames of one sensor pile up; None where no frame is full, or that is not plain.
 
-    A hard end holds four times the pixels of any code close below it, in frames that have noise. A hill has about the noise
-    of the darks, and a fifth of the variance that dimmer levels have at least, from shot to shot or on an even surface from sensel
-    to sensel of a phase of `period` columns. Where nothing shows the noise only the highest code of 8 bits or more is full.
+    The pile of a hard end holds four times the pixels of any code close below it, in frames that have noise: from sensel to sensel of a phase of
+    `period` columns. Where nothing shows the noise only the highest code of 8 bits or more is full. A hill has about the noise
+    of the darks, and a fifth of the variance of dimmer levels, from shot to shot or on a white from sensel to sensel.
 
     >>> rng = np.random.default_rng(1)
     >>> light = np.linspace(500, 5000, 200) * np.ones((100, 1))
@@ -294,34 +266,7 @@ def find_full_scale(
     (3600.0, None)
     """
     whole = [frames for frames in lit if all(shot.dtype.kind in "ui" for shot in frames.shots)]
-    if not whole:
-        return None
-    return _hard_end(whole, darks, period) or _hill(whole, darks, period)
-
-
-def level_of_a_quiet_white(
-    lit: Sequence[SceneShots], darks: Sequence[np.ndarray], *, period: int = 1
-) -> float | None:
-    """Return the level of a white that has no more noise than the dark, which light alone cannot have: full everywhere, or averaged.
-
-    >>> rng = np.random.default_rng(1)
-    >>> dark, white = rng.normal(60.5, 2.5, (40, 90)), rng.normal(3300.5, 2.6, (40, 90))
-    >>> level_of_a_quiet_white([SceneShots([white.astype(np.uint16)], even=True)], [dark.astype(np.uint16)])
-    3300.0
-    """
-    quiet = [one.spread(one.level >= 0) for one in _over_space(darks, period)]
-    known = [variance for variance in quiet if variance > ROUNDED**2]
-    if not known:
-        return None
-    dark = float(np.median([np.median(plane) for plane in darks]))
-    for frames in lit:
-        if not frames.even or frames.shots[0].dtype.itemsize < 2:
-            continue
-        level = float(np.median(frames.shots[0]))
-        spreads = [one.spread(one.level >= 0) for one in _over_space(frames.shots[:1], period)]
-        if level - dark > BRIGHT * np.sqrt(max(known)) and spreads[0] < QUIET * min(known):
-            return float(round(level))
-    return None
+    return (_hard_end(whole, darks, period) or _hill(whole, darks, period)) if whole else None
 
 
 def _hard_end(
@@ -351,11 +296,31 @@ def _unlike(plane: np.ndarray, code: float, period: int) -> float | None:
     return float(np.mean((plane[:, :-period] != plane[:, period:])[below]))
 
 
-class _Apart(NamedTuple):
-    """Values that were taken alike, their level, and differences whose variance is that of one value.
+def level_of_a_quiet_white(
+    lit: Sequence[SceneShots], darks: Sequence[np.ndarray], *, period: int = 1
+) -> float | None:
+    """Return the level of a white that has no more noise than the dark, which light alone cannot have: full everywhere, or averaged.
 
-    The two do not depend on one another: a level that is picked leaves the difference as it is.
+    >>> rng = np.random.default_rng(1)
+    >>> dark, white = rng.normal(60.5, 2.5, (40, 90)), rng.normal(3300.5, 2.6, (40, 90))
+    >>> level_of_a_quiet_white([SceneShots([white.astype(np.uint16)], even=True)], [dark.astype(np.uint16)])
+    3300.0
     """
+    quiet = [one.spread(one.level >= 0) for one in _over_space(darks, period)]
+    known = [variance for variance in quiet if variance > ROUNDED**2]
+    if not known:
+        return None
+    dark = float(np.median([np.median(plane) for plane in darks]))
+    for frames in (one for one in lit if one.even and one.shots[0].dtype.itemsize > 1):
+        level = float(np.median(frames.shots[0]))
+        spreads = [one.spread(one.level >= 0) for one in _over_space(frames.shots[:1], period)]
+        if level - dark > BRIGHT * np.sqrt(max(known)) and spreads[0] < QUIET * min(known):
+            return float(round(level))
+    return None
+
+
+class _Apart(NamedTuple):
+    """Values that were taken alike, their level, and differences of the variance of one value, which do not depend on the level."""
 
     values: tuple[np.ndarray, ...]
     level: np.ndarray
@@ -381,9 +346,9 @@ def _hill(lit: Sequence[SceneShots], darks: Sequence[np.ndarray], period: int) -
     lit = [frames for frames in lit if frames.shots[0].dtype.itemsize > 1]
     if not lit:
         return None
-    top = max(float(np.quantile(frames.shots[0], 0.9995)) for frames in lit)
-    over_time = [_of_two(*frames.shots[:2]) for frames in lit if len(frames.shots) > 1]
     firsts = [frames.shots[0] for frames in lit]
+    top = max(float(np.quantile(shot, 0.9995)) for shot in firsts)
+    over_time = [_of_two(*frames.shots[:2]) for frames in lit if len(frames.shots) > 1]
     shown = [*over_time, *_over_space([f.shots[0] for f in lit if f.even], period)]
     quiet = [one.spread(one.level >= 0) for one in _over_space(darks, period)]
     read = min((LIKE_DARK * v for v in quiet if v > 0), default=(STILL * top) ** 2)
@@ -398,9 +363,8 @@ def _hill(lit: Sequence[SceneShots], darks: Sequence[np.ndarray], period: int) -
         for apart in (*over_time, *_over_space(firsts, period)):
             part = apart.beyond(foot)
             if least < np.inf and apart.spread(part) < min(QUIETER * least, read):
-                return FullScale(
-                    _foot_of(apart.code[part]), "its values no longer follow the light there"
-                )
+                counts = _foot_of(apart.code[part])
+                return FullScale(counts, "its values no longer follow the light there")
     return None
 
 

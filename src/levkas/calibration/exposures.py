@@ -37,38 +37,31 @@ from levkas.calibration.templates import (
 from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
 
-USED = (0.05, 0.95)  # of saturation, as EMVA 1288 has it
-GROUPS, FEWEST = 20, 50  # of pixels of like brightness; pixels of a group
-MANY_ROWS = 600  # of a frame; the rest adds nothing to means that are known to 0.1 %
-RECIPROCAL = 0.01  # rms up to which one exposure may be scaled to the time of another
-CURVED = 0.003  # of the light, relative: reflectance may be off by as much before a curve counts
-SIGMAS = 4.0  # of a bend, or of an offset, to be one
-ALIKE = 1.15  # contrast of the pixels of a group whose mean is a point of a curve
-FEWEST_POINTS, LEAST_SPAN = (
-    16,
-    2.0,
-)  # of a curve; of counts at one exposure: an even white alone shows no bend
-MOST_WEIGHT, OUTLIER = (
-    0.1,
-    4.0,
-)  # of all pixels, of a group; usual deviations from a line, from which on a group moved
-EVEN = 1.5  # of the dimmest of eight neighbours, the brightest: noise of a tenth makes as much
-PERIOD = (2, 2)  # of mosaics, unless declared; plain sensors do not mind
-BLACK_ERROR = 0.5  # counts, of a black level by a series, at most: a quarter of a small read noise
-TOLERATED = 1e-4  # share of clipped pixels that the best exposure may have: hot pixels, a glint
-USABLE = 0.98  # of saturation: beyond it the response bends
-NEARLY, BEYOND = (
-    0.9,
-    1.1,
-)  # of saturation: shown at most, and predicted, by a sensel that is full before others
-NEXT_TO = np.ones((3, 3), np.uint8)
-ROUNDS = 3  # of a merge: within 1 % of the Cramér–Rao bound over four decades
-OF_NOISE = (
-    24,
-    200,
-    500_000,
-)  # groups whose noise two exposures show; pixels of one; pixels that are looked at
-DIM = 4.0  # times the least variance of a group: brighter ones say little of noise without light
+USED, MANY_ROWS = (0.05, 0.95), 600
+"""Of saturation, as EMVA 1288 has it; rows of a frame: the rest adds nothing to means that are known to 0.1 %."""
+GROUPS, FEWEST = 20, 50
+"""Of pixels of like brightness; pixels of a group."""
+RECIPROCAL, CURVED, SIGMAS = 0.01, 0.003, 4.0
+"""Rms up to which one exposure may be scaled to the time of another; of the light, relative, from which a curve counts; deviations
+of a bend, or of an offset, to be one."""
+ALIKE, EVEN = 1.15, 1.5
+"""Contrast of the pixels of a group whose mean is a point of a curve; brightest over dimmest of eight neighbours: noise of a tenth makes as much."""
+FEWEST_POINTS, LEAST_SPAN = 16, 2.0
+"""Points of a curve; of counts at one exposure: an even white alone shows no bend."""
+MOST_WEIGHT, OUTLIER = 0.1, 4.0
+"""Of all pixels, of a group; usual deviations from a line, from which on a group moved."""
+PERIOD = (2, 2)
+"""Of mosaics, unless declared; plain sensors do not mind."""
+BLACK_ERROR = 0.5
+"""Counts, of a black level by a series, at most: a quarter of a small read noise."""
+TOLERATED, USABLE = 1e-4, 0.98
+"""Share of clipped pixels of the best exposure: hot pixels, a glint; of saturation: beyond it the response bends."""
+NEARLY, BEYOND = 0.9, 1.1
+"""Of saturation: shown at most, and predicted, by a sensel that is full before others."""
+ROUNDS = 3
+"""Of a merge: within 1 % of the Cramér–Rao bound over four decades."""
+OF_NOISE, DIM = (24, 200, 500_000), 4.0
+"""Groups whose noise two exposures show, pixels of one and in all; least variances of a group, beyond which it says little of noise without light."""
 
 
 # --- linearity ------------------------------------------------------------------------------------
@@ -453,7 +446,10 @@ def merge_exposures(
     full = [
         s.saturated | (s.mean > USABLE * saturation) | e for s, e in zip(timed, early, strict=True)
     ]
-    apart = [cv2.dilate(marks.astype(np.uint8), NEXT_TO).reshape(marks.shape) > 0 for marks in full]
+    apart = [
+        cv2.dilate(marks.astype(np.uint8), np.ones((3, 3), np.uint8)).reshape(marks.shape) > 0
+        for marks in full
+    ]
     allowed = noise
     if noise is not None:
         read, miss = read_variance_between(timed, levels, apart, noise.gain)

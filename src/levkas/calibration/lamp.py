@@ -20,27 +20,21 @@ from levkas.calibration.patterns import split
 from levkas.calibration.sight import SIZES, watch_shots
 from levkas.calibration.templates import ShotLevels, Template, average, level_of
 
-CELL, CELLS = 32, 8  # pixels a side of a cell, of one phase; cells a side that a small frame has
-SIGMAS = (
-    4.0  # of a change, to be one: at 2 noise changes the lamp in one of twenty bands of a scanner
-)
-DIM = 0.02  # of the brightest cells: darker ones hold noise alone
-EXPLAINED = (
-    0.01  # of the variance of bright pixels over time: beyond it shots are brought to one level
-)
-SAMPLE = 200_000  # pixels of a channel that are looked at
-LONG = 10.0  # times its change within a stack: lamps settle, and what one did in a second shows little of a day
-GROUPS = 8
-"""Of neighbouring bands whose lamp is alike: lamps change smoothly over the spectrum. Of a lamp that sinks by 0.2 % within 40
-lines, 580 bands of 0.1 to 2 % noise, the rms error of Δ is 0.11 %; 0.07 % with 4 groups, 0.12 % with 16. With every band by
-itself noise passed for a change in 6 of 30 steady scans."""
-FEWEST = 5  # lines of a white that show anything: the scatter of fewer is known too badly
-STEADY = (0.7, 1.4)  # least and greatest light of a shot that is a lamp's
-LOCAL, CERTAIN = (
-    0.03,
-    8.0,
-)  # of the light of a cell: lamps do less; of the noise of cells: one of 10^9 is beyond it
-CONTRADICTED = 0.1  # of the light of a cell: the mean of two whites is then wrong by as much
+CELL, CELLS, DIM = 32, 8, 0.02
+"""Pixels a side of a cell, of one phase; cells a side that a small frame has; of the brightest cells: darker ones hold noise alone."""
+SIGMAS = 4.0
+"""Deviations of a change, to be one: at 2 noise changes the lamp in one of twenty bands of a scanner."""
+EXPLAINED, SAMPLE = 0.01, 30_000
+"""Of the variance of bright pixels over time, from which on shots are brought to one level; pixels of a channel that are looked at."""
+LONG = 10.0
+"""Times its change within a stack: lamps settle, and what one did in a second shows little of a day."""
+GROUPS, FEWEST = 8, 5
+"""Of neighbouring bands whose lamp is alike: with 4 of 580 bands the rms error of Δ is 0.07 %, with 8 0.11 %, with every band by itself
+noise passes for a change in 6 of 30 steady scans. Lines of a white that show anything."""
+STEADY, LOCAL, CERTAIN = (0.7, 1.4), 0.03, 8.0
+"""Least and greatest light of a shot that is a lamp's; of the light of a cell: lamps do less; deviations: one cell of 10⁹ is beyond."""
+CONTRADICTED = 0.1
+"""Of the light of a cell: the mean of two whites is then wrong by as much."""
 
 
 # --- the light of each shot ---------------------------------------------------------------------
@@ -102,8 +96,7 @@ def measure_light(cells: np.ndarray, dark: np.ndarray | float = 0.0) -> ShotLeve
     """
     light = np.asarray(cells, float) - dark
     levels, errors = np.ones(light.shape[:2]), np.full(light.shape[1], np.inf)
-    for channel in range(light.shape[1]):
-        part = light[:, channel]
+    for channel, part in enumerate(np.moveaxis(light, 1, 0)):
         part = part[:, np.isfinite(part).all(0)]
         mean = part.mean(0)
         full = np.quantile(mean, 0.98) if mean.size else 0.0
@@ -122,8 +115,7 @@ def measure_offsets(cells: np.ndarray) -> ShotLevels:
     """
     apart = np.asarray(cells, float) - cells.mean(0)
     levels, errors = np.zeros(apart.shape[:2]), np.full(apart.shape[1], np.inf)
-    for channel in range(apart.shape[1]):
-        part = apart[:, channel]
+    for channel, part in enumerate(np.moveaxis(apart, 1, 0)):
         part = part[:, np.isfinite(part).all(0)]
         if part.size:
             found, errors[channel] = _levels(part, np.ones(part.shape[1]))
@@ -158,25 +150,11 @@ def average_steady(
 ) -> Template:
     """Average shots of one scene without what the lamp does to all pixels alike; the template has its `shots`, and the variance of noise.
 
-    Parameters
-    ----------
-    read : function
-        Returns the frames; called a second time where the lamp explains more than 1 % of the variance of bright
-        pixels over time. The shots are then brought to their mean level about the dark, s_k to 1.
-    level : ndarray that broadcasts to the frames, float, or None
-        Counts without light. None: the frames are darks, which are brought to their mean by an offset.
-    period : (rows, columns)
-        Of a mosaic: each phase has a level of its own.
-    saturation, black_clip, exposure_s
-        As of `templates.average`; saturation is judged on the codes of the file.
-    times_s : sequence of float, optional
-        When each shot was captured.
-    white : bool
-        Whether nothing may stand in the scene: by how much its shots differ is in `shots`. Those of an object are
-        compared with the first, and its `shots` have what is unlike.
+    `read` returns the frames; it is called a second time where the lamp explains more than 1 % of the variance of bright pixels over
+    time: the shots are then brought to their mean level about `level`, the counts without light, each phase of a mosaic of `period` by
+    itself; darks, whose `level` is None, by an offset. Saturation is judged on the codes of the file. In a `white` nothing may stand: by
+    how much its shots differ is in `shots`; those of an object are compared with the first, and `shots` have what is unlike.
 
-    Examples
-    --------
     >>> rng = np.random.default_rng(1)
     >>> frames = [60 + rng.normal(s * 3000, 10, (80, 80)) for s in (0.975, 1.025)]
     >>> made = average_steady(lambda: frames, 60.0)
@@ -190,23 +168,17 @@ def average_steady(
         frames = watch_shots(frames, unlike, period, level_of(np.asarray(level)), saturation)
     template = average(frames, exposure_s=exposure_s, saturation=saturation, black_clip=black_clip)
     channels = light.channels
-    differing: tuple[tuple[int, ...], float] = ((), 0.0)
     if level is None:
         shots = measure_offsets(channels)
     else:
         level = _as_frame(level, template.mean.shape)
         under = cell_means(level, period)
-        if white and template.count > 1:
-            differing = find_differing_shots(channels - under)
         shots = measure_light(channels, under)
-    moments = times_s if times_s is not None and len(times_s) == template.count else None
-    shots = replace(
-        shots,
-        times_s=None if moments is None else tuple(moments),
-        unlike=tuple(unlike),
-        differing=differing[0],
-        apart=differing[1],
-    )
+        if white:
+            differing, apart = find_differing_shots(channels - under)
+            shots = replace(shots, differing=differing, apart=apart)
+    moments = tuple(times_s) if times_s is not None and len(times_s) == template.count else None
+    shots = replace(shots, times_s=moments, unlike=tuple(unlike))
     lamp = level is None or STEADY[0] < shots.levels.min() <= shots.levels.max() < STEADY[1]
     if lamp and _explained(template, shots, level, period) > EXPLAINED:
         steadied = (
@@ -334,14 +306,11 @@ def require_agreement(shots: ShotLevels | None, names: Sequence[str] = ()) -> No
             Path(names[k]).name if names else f"shot {k + 1}" for k in shots.differing[:3]
         )
         file = names[shots.differing[0]] if names and shots.differing else None
-        found.append(
-            Finding("unlike_whites", which or "no majority", shots.apart, CONTRADICTED, file)
-        )
+        which = which or "no majority"
+        found.append(Finding("unlike_whites", which, shots.apart, CONTRADICTED, file))
     for shot, what, by in shots.unlike if not found else ():
-        file = names[shot] if names else None
-        found.append(
-            Finding(f"other_{what}", f"shot {shot + 1}: {SIZES[what].format(by)}", by, file=file)
-        )
+        said, file = f"shot {shot + 1}: {SIZES[what].format(by)}", names[shot] if names else None
+        found.append(Finding(f"other_{what}", said, by, file=file))
     if found:
         raise CalibrationRefused(*(one.problem() for one in found))
 

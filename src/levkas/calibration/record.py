@@ -64,34 +64,12 @@ class LampNumbers(TypedDict, total=False):
 class SensorRecord:
     """Measurements of one sensor in one capture; those of its bands by their labels.
 
-    Parameters
-    ----------
-    light : dict
-        How even the light is on the white, as `capture_statistics.record_light` has it.
-    lamp : dict
-        Between darks, white and object.
-    noise_shares : dict
-        What shots, white and darks add to the noise where the signal is middling, in the unit of the values.
-    rounding, black_wander : dict
-        Step of the codes, in the unit of the values; how far the black level of values in counts is known, counts.
-    mean_of_view : dict
-        Of all that a band shows, reflectance; stray light is a share of it.
-    unlike_noise : dict
-        Variance of bands whose noise is not that of the others, over that.
-    white_shots : dict
-        By how much parts of the shots of a white differ, relative.
-    sensels : dict
-        Noise and signal-to-noise of a mosaic's sensels: of the object's picture, not of the camera.
-    clipped_darks : dict
-        By band and exposure.
-    quiet_white : float
-        Level of a white without shot noise, counts.
-    black, offset : WithError
-        Black by an exposure series; counts that series have without light.
-    bend, straightness : float
-        By how much the brightest values are off dim ones, relative, and its size with its error.
-    stray_light, chart_white, strips
-        Records of traps, of a chart in place of the white, of joints between strips.
+    `light` is how even the white is (`measurements.record_light`), `noise_shares` what shots, white and darks add to the noise where the
+    signal is middling and `rounding` the step of the codes, in the unit of the values; `black_wander`, counts, is how far the black level
+    is known, `mean_of_view` the mean reflectance of all that a band shows, `unlike_noise` the variance of bands over that of all,
+    `white_shots` by how much parts of the shots of a white differ, relative, `sensels` noise and signal-to-noise of a mosaic's sensels,
+    `quiet_white` the level of a white without shot noise, counts. `black` is by an exposure series, `offset` what such a series has
+    without light; `bend` by how much the brightest values are off dim ones, relative, `straightness` its size with its error.
     """
 
     light: dict[str, dict[str, Any]] = field(default_factory=dict)
