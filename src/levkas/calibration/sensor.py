@@ -269,8 +269,11 @@ class SensorCapture:
         self, frames: Sequence[FrameRef], darks: Sequence[Template] = ()
     ) -> list[Template]:
         """Average frames exposure by exposure, shortest first, above their `darks`."""
-        times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
-        return [self.average([f for f in frames if exposure_of(f) == t], darks) for t in times]
+        groups: dict[float | None, list[FrameRef]] = {}
+        for frame in frames:
+            groups.setdefault(exposure_of(frame), []).append(frame)
+        times = sorted(groups, key=lambda t: (t is not None, t or 0.0))
+        return [self.average(groups[t], darks) for t in times]
 
     def clipped_darks(self, darks: Sequence[Template], band: str = "") -> dict[str, ClippedDark]:
         """Return black and noise of darks that were clipped, or that they cannot be had, by band and exposure."""
@@ -454,8 +457,7 @@ def _with_black_of_series(context: SensorCapture) -> SensorCapture:
     if context.camera.traits.is_scanned:
         return context
     for frames in (sensor.object, sensor.white):
-        bands = list(dict.fromkeys(frame.band for frame in frames))
-        for band in spread([b for b in bands if len(times_of_band(frames, b)) > 1], SERIES):
+        for band in bands_of_series(frames):
             own = [f for f in sensor.dark if f.band == band]
             under = context.templates(own or [f for f in sensor.dark if f.band is None])
             shots = context.templates([f for f in frames if f.band == band], under)
@@ -465,9 +467,13 @@ def _with_black_of_series(context: SensorCapture) -> SensorCapture:
     return context
 
 
-def times_of_band(frames: Iterable[FrameRef], band: str | None) -> set[float]:
-    """Return the exposures of the frames of a band, s."""
-    return {t for f in frames if f.band == band and (t := exposure_of(f)) is not None}
+def bands_of_series(frames: Iterable[FrameRef]) -> list[str | None]:
+    """Return a few bands, of those with several exposures, that show black and curve of the sensor."""
+    times: dict[str | None, set[float]] = {}
+    for frame in frames:
+        own, time = times.setdefault(frame.band, set()), exposure_of(frame)
+        own |= set() if time is None else {time}
+    return spread([band for band, own in times.items() if len(own) > 1], SERIES)
 
 
 # --- frames ---------------------------------------------------------------------------------------

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from levkas.calibration.findings import CalibrationRefused, Finding, refusal
@@ -11,6 +10,8 @@ from levkas.calibration.sensor import listed, times_of
 from levkas.readers.frames import read_facts, read_headers
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from levkas.calibration.sensor import SensorCapture
 
 NAMED = 3
@@ -54,18 +55,9 @@ def _notes_of_files(context: SensorCapture) -> Iterator[Finding | str]:
         for key in more:
             found.setdefault(key, {})[frame.path] = None
     for (code, said, number), paths in found.items():
-        files = files_named(tuple(paths))
+        files = next(iter(paths)).name + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
         subject = f"{said}, in {files}" if said else files
         yield Finding(code, subject, number) if code else f"{said} ({files})"
-
-
-def files_named(paths: Sequence[Path]) -> str:
-    """Return a few files in words.
-
-    >>> files_named([Path("raw/a.tif"), Path("raw/b.tif")])
-    'a.tif and 1 more'
-    """
-    return paths[0].name + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
 
 
 def require_sound(context: SensorCapture) -> None:

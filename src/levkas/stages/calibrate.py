@@ -21,14 +21,12 @@ from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.record import SensorNoise, SensorRecord, findings_of, findings_of_lamp
 from levkas.calibration.reflectance import defects_of
 from levkas.calibration.sensor import (
-    SERIES,
     SensorCapture,
     SensorCube,
+    bands_of_series,
     exposure_of,
     placed,
     placing,
-    spread,
-    times_of_band,
     white_shots,
 )
 from levkas.calibration.stated import doubts_of, require_sound
@@ -501,7 +499,7 @@ def _band(
     noise, unlike = noise_of_band(context, noise, *stacks)
     unit = context.unit_of(next(f for f in sensor.object if f.band == label))
     board = WhiteBoard(reflectance, labels=[label], unit=unit)
-    looked_at = label in _looked_at(sensor.object), label in _looked_at(sensor.white)
+    looked_at = label in bands_of_series(sensor.object), label in bands_of_series(sensor.white)
     made = _flat(context, stacks, board, noise, area, band=label, looked_at=looked_at)
     if unlike != 1.0:
         made.record.unlike_noise[label] = rounded(unlike, 3)
@@ -514,12 +512,6 @@ def _band(
         plane = equalise_phases(*plane, sensor.pattern)
     flat = replace(flat, values=plane[0], flags=plane[1], variance=plane[2])
     return made._replace(values=flat)
-
-
-def _looked_at(frames: Sequence[FrameRef]) -> list[str | None]:
-    """Return a few bands, of those with several exposures, that show how straight the sensor is."""
-    bands = dict.fromkeys(frame.band for frame in frames)
-    return spread([band for band in bands if len(times_of_band(frames, band)) > 1], SERIES)
 
 
 def _of_band(frames: Sequence[FrameRef], label: str) -> list[FrameRef]:

@@ -12,7 +12,7 @@ import numpy as np
 from levkas.core.cube import Cube, CubeRows, Flag, is_flagged
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from levkas.core.cube import Band
@@ -36,12 +36,6 @@ def flag_and_count(
     glare = find_glare(cube.values, cube.flags, cube.sigma, other=other, gains=gains)
     flag_glare(cube.flags, glare)
     return glare.counts()
-
-
-def add_counts(total: dict[str, int], more: Mapping[str, int]) -> None:
-    """Add the counts of some rows to those of the rows before."""
-    for name, count in more.items():
-        total[name] = total.get(name, 0) + count
 
 
 def count_flags(flags: np.ndarray) -> np.ndarray:
@@ -89,14 +83,8 @@ class DefaultLayer:
 class LayerStatistics:
     """What is noted of a layer's rows on their way to its files: grey, where all was observed, flags, glare, ranges.
 
-    Parameters
-    ----------
-    default : DefaultLayer, optional
-        The same camera under its default setup.
-    gains : ndarray, optional
-        Of both, by band; None where they are found in the rows, which are then all in one block.
-    step : int
-        Every so-many-th pixel a side is kept in mind for range and noise.
+    `default` is the same camera under its default setup, with the `gains` of both, by band; None where they are found in the rows, which
+    are then all in one block. Every `step`-th pixel a side is kept in mind for range and noise.
     """
 
     default: DefaultLayer | None = None
@@ -126,7 +114,8 @@ class LayerStatistics:
             other = self.default.rows(first, self._rows) if self.default else None
             mean, valid = grey_of(cube.values, cube.flags, first, step)
             counts = flag_and_count(cube, other, self.gains)
-            add_counts(self.glare, {"inside": int(np.count_nonzero(valid)), **counts})
+            for name, count in {"inside": int(np.count_nonzero(valid)), **counts}.items():
+                self.glare[name] = self.glare.get(name, 0) + count
             self.thin.append(self._thinned(cube, first))
             self.mean.append(mean)
             self.valid.append(valid)
@@ -141,9 +130,8 @@ class LayerStatistics:
             return cube
         part = np.s_[-first % self.step :: self.step, :: self.step]
         sigma = None if cube.sigma is None else cube.sigma[part].copy()
-        return replace(
-            cube, values=cube.values[part].copy(), flags=cube.flags[part].copy(), sigma=sigma
-        )
+        values, flags = cube.values[part].copy(), cube.flags[part].copy()
+        return replace(cube, values=values, flags=flags, sigma=sigma)
 
     @property
     def grey(self) -> tuple[np.ndarray, np.ndarray]:
@@ -195,9 +183,8 @@ def _mean_sigma(sigma: np.ndarray) -> np.ndarray:
 def _stacked(parts: Sequence[Cube]) -> Cube:
     values, flags = (np.concatenate([getattr(c, n) for c in parts]) for n in ("values", "flags"))
     known = [cube.sigma for cube in parts if cube.sigma is not None]
-    return replace(
-        parts[0], values=values, flags=flags, sigma=np.concatenate(known) if known else None
-    )
+    sigma = np.concatenate(known) if known else None
+    return replace(parts[0], values=values, flags=flags, sigma=sigma)
 
 
 def as_number(value: Any) -> Any:
@@ -217,28 +204,22 @@ def focus_of(cubes: Iterable[Cube]) -> list[dict[str, Any]]:
     return [
         one
         for cube in cubes
-        for one in _focus_of(cube.values, cube.flags, cube.labels, step_of(len(cube.bands)))
+        for one in _focus_of(cube.values, cube.flags, cube.labels, _apart(len(cube.bands)))
     ]
 
 
-def step_of(bands: int) -> int:
-    """Return of how many bands one is measured."""
+def _apart(bands: int) -> int:
     return max(1, -(-bands // MOST_BANDS))
 
 
 class Middle:
-    """The middle of a scan, of the bands whose focus is measured, taken from its lines as they pass.
-
-    Parameters
-    ----------
-    shape : (lines, samples, bands)
-    """
+    """The middle of a scan of (lines, samples, bands), of the bands whose focus is measured, taken from its lines as they pass."""
 
     def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band]) -> None:
         from levkas.quality.image_quality.sharpness import middle_of
 
         self._rows, self._columns = middle_of(shape[:2])
-        self._step = step_of(len(bands))
+        self._step = _apart(len(bands))
         self._labels = [band.label for band in bands][:: self._step]
         size = (self._rows.stop - self._rows.start, self._columns.stop - self._columns.start)
         self._values = np.empty((*size, len(self._labels)), np.float32)
@@ -268,6 +249,4 @@ def _focus_of(
     middle = middle_of((values.shape[0], values.shape[1]))
     values, flags = values[middle][..., ::step], flags[middle][..., ::step]
     found = band_sharpness(values, labels[::step], left_out=is_flagged(flags, LOST))
-    return [
-        {"band": one.band, "blur_px": as_number(one.blur_px), "edges": one.edges} for one in found
-    ]
+    return [{"band": f.band, "blur_px": as_number(f.blur_px), "edges": f.edges} for f in found]

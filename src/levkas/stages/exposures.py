@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.calibration.agreement import facts_of
 from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.exposures import (
+    PERIOD,
     best_exposure,
     check_linearity,
     doubt_scaling,
@@ -68,8 +69,8 @@ def expose(
     return Exposed(best_exposure(shots))
 
 
-def _of_pattern(context: SensorCapture) -> dict[str, Any]:
-    return {"period": context.period} if context.sensor.pattern else {}
+def _period(context: SensorCapture) -> tuple[int, int]:
+    return context.period if context.sensor.pattern else PERIOD
 
 
 def _merge(
@@ -79,8 +80,8 @@ def _merge(
     full, black = context.saturation, context.black_level
     if full is None:
         raise refusal("saturation_unknown", camera=context.camera.name)
-    more = _of_pattern(context)
-    return merge_exposures(shots, darks, saturation=full, black=black, noise=noise, **more)
+    period = _period(context)
+    return merge_exposures(shots, darks, saturation=full, black=black, noise=noise, period=period)
 
 
 def white_of(
@@ -112,11 +113,9 @@ def check_scaling(
     series: Sequence[list[Template]],
     darks: list[Template],
 ) -> list[Finding]:
-    """Look whether counts may be scaled from the white's time to the object's, and say if that is not known.
+    """Refuse, E_EXPOSURES, to scale counts from the white's time to the object's where one of `series`, exposures of a scene, denies it; say if none shows it.
 
-    `series` are exposures of one scene each: the object's, the white's. A merge has been checked already.
-
-    Raises CalibrationRefused, E_EXPOSURES where a series shows that counts do not scale, with exposure and level.
+    A merge has been checked already.
     """
     taken, other = exposed.shot.exposure_s, white.exposure_s if white else None
     if exposed.shot.above_dark or not taken or not other or abs(taken / other - 1) <= SAME_TIME:
@@ -129,7 +128,7 @@ def check_scaling(
             saturation=context.saturation,
             black=context.black_level,
             fit_offset=hides_offset(darks),
-            **_of_pattern(context),
+            period=_period(context),
         )
         if found.points:
             require_scaling(found)
@@ -172,10 +171,9 @@ def noise_of(
     """Noise of the sensor from stacks, darks among them, or from single shots where there are no stacks."""
     if context.light is not None:  # smooth: it shows no noise
         whites = [None] * len(whites)
-    pattern, step, black = context.sensor.pattern, context.step, context.black_level
-    return fit_noise_of_frames(
-        *(shots, whites, darks), black=0.0 if black is None else black, pattern=pattern, step=step
-    )
+    black = 0.0 if context.black_level is None else context.black_level
+    pattern, step = context.sensor.pattern, context.step
+    return fit_noise_of_frames(shots, whites, darks, black=black, pattern=pattern, step=step)
 
 
 def noise_of_band(
@@ -194,11 +192,6 @@ def noise_of_band(
 
 
 def _size(shape: tuple[int, ...]) -> str:
-    """Return the size of an array in words.
-
-    >>> _size((344, 408)), _size((1, 408, 33))
-    ('408 x 344', '408 x 1, 33 bands')
-    """
     height, width, *bands = shape
     return f"{width} x {height}" + "".join(f", {count} bands" for count in bands)
 
@@ -209,11 +202,7 @@ def require_same_size(
     darks: Sequence[Template],
     whites: Sequence[Template],
 ) -> None:
-    """Refuse templates of another size than the object, and frames that are smaller than their pattern.
-
-    Raises CalibrationRefused, ``E_SIZE``, before anything is made of them. The templates of a push-broom
-    camera are one line.
-    """
+    """Refuse templates of another size than the object, one line of a push-broom camera, and frames smaller than their pattern, ``E_SIZE``."""
     sensor, lines = context.sensor, shape[0]
     if context.camera.traits.is_scanned and context.camera.scan != "mirror":
         lines = 1
@@ -259,14 +248,12 @@ def flatten(
     if moved is not None and moved.any():
         notes.append(Finding("moved", number=100 * float(np.mean(moved))).describe())
     templates = (shot, *dark, white)
-    lost = gaps_of(*templates)
-    if lost is not None:
-        lost = np.broadcast_to(
-            lost if shot.absent is None else lost & ~shot.absent, shot.mean.shape
-        )
-    if lost is not None and lost.any():
+    if (lost := gaps_of(*templates)) is not None:
+        lost = lost if shot.absent is None else lost & ~shot.absent
         labels = board.labels or ()
-        notes.append(lost_values(lost, labels[0] if len(labels) == 1 else "all bands"))
+        if lost.any():
+            lost = np.broadcast_to(lost, shot.mean.shape)
+            notes.append(lost_values(lost, labels[0] if len(labels) == 1 else "all bands"))
     flat = replace(flat, notes=tuple(notes))
     return with_marks(flat, templates, moved, mended=not context.unmended)
 

@@ -54,7 +54,7 @@ def rounded(value: float, digits: int = 4) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Stacks:
-    """Averaged frames of one scene: the object's, its darks, its white, and the board that this shows."""
+    """Averaged frames of one scene: the object's, its darks, its white, and its board."""
 
     context: SensorCapture
     shot: Template
@@ -108,10 +108,8 @@ class Stacks:
 
 def _phase(frame: np.ndarray, phase: Phase) -> np.ndarray:
     """Return the sensels of one band of a frame, or its one number of a line or of all."""
-    tall, wide = (
-        part if n > 1 else slice(None) for part, n in zip(phase, frame.shape[:2], strict=True)
-    )
-    return frame[tall, wide]
+    parts = zip(phase, frame.shape[:2], strict=True)
+    return frame[tuple(part if n > 1 else slice(None) for part, n in parts)]
 
 
 def _level(frames: Template | MatchedDark, phase: Phase) -> float:
@@ -178,10 +176,7 @@ def _black_change(stacks: Stacks) -> LampChange | None:
     found = [
         stacks.in_bands(black_between(one.shots, stacks.shot.shots))
         for one in stacks.darks
-        if one.shots is not None
-        and one.count > 1
-        and one.fit is None
-        and np.mean(one.black) <= MANY_ZEROS
+        if one.shots and one.count > 1 and one.fit is None and np.mean(one.black) <= MANY_ZEROS
     ]
     return max(found, key=lambda one: float(one.sigma.max()), default=None)
 
@@ -266,7 +261,7 @@ def straightness(context: SensorCapture, series: Sequence[Series]) -> SensorReco
 def sensor_noise(
     noise: NoiseModel | None, dark: Template | None, black: float, saturation: float | None
 ) -> SensorNoise | None:
-    """Return gain, noise in the dark and range of a sensor; None where one of them is not known."""
+    """Return gain, noise in the dark and range of a sensor; None where one is not known."""
     from levkas.quality.image_quality.dynamic_range import sensor_stops
 
     if noise is None or saturation is None:
@@ -404,17 +399,16 @@ def lamp_numbers(
     """
     found: dict[str, LampNumbers] = {}
     for i, label in enumerate(labels):
+        names = ("sigma", "white", "object", "flicker")
         numbers = {
-            "white": lamp.white[i],
-            "object": lamp.shot[i],
-            "flicker": lamp.flicker[i],
-            "sigma": lamp.sigma[i],
-            "black": np.nan if dark is None else dark.white[i],
-            "black_sigma": 0.0 if dark is None else dark.sigma[i] * per_count[i],
+            "black": np.nan,
+            "black_sigma": 0.0,
+            **{n: v[i] for n, v in zip(names, lamp, strict=False)},
         }
         if dark is not None:
-            within = np.hypot(*np.nan_to_num([dark.white[i], dark.flicker[i]]))
-            numbers["black_within"] = within * per_count[i]
+            within = np.hypot(*np.nan_to_num([dark.white[i], dark.flicker[i]])) * per_count[i]
+            sigma = dark.sigma[i] * per_count[i]
+            numbers |= {"black": dark.white[i], "black_sigma": sigma, "black_within": within}
         if lamp.reach:
             numbers["reach"] = lamp.reach
         found[label] = LampNumbers(**{n: as_number(float(v)) for n, v in numbers.items()})  # type: ignore[typeddict-item]
