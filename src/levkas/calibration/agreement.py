@@ -142,10 +142,8 @@ def compare_facts(
         raise CalibrationRefused(*(one.problem(camera.name) for one in fatal))
     notes += [f"{one.describe()}; `overrule` accepts it, no value is corrected" for one in refused]
     moved = dict.fromkeys(one.frame.path.name for one in every if _is_moved(sensor, one.frame))
-    notes += [
-        f"the bands of {name} stand in another order, matched by wavelength or name"
-        for name in moved
-    ]
+    order = "stand in another order, matched by wavelength or name"
+    notes += [f"the bands of {name} {order}" for name in moved]
     if idle := [name for name in camera.overrule if name not in accepted]:
         notes.append(f"`overrule` of {', '.join(idle)} has no effect: these files agree")
     return notes
@@ -164,13 +162,11 @@ def _is_fatal(camera: Camera, one: Contradiction) -> bool:
 
 def _merged(found: Iterable[Contradiction]) -> list[Contradiction]:
     """Return one contradiction for a fact, role and severity, with the number of other files."""
-    firsts: dict[tuple[str, str, str, bool], Contradiction] = {}
-    paths: dict[tuple[str, str, str, bool], set[Path]] = {}
+    groups: dict[tuple[str, str, str, bool], list[Contradiction]] = {}
     for one in found:
         key = one.fact.name, one.severity, one.role, isinstance(one.by, str)
-        firsts.setdefault(key, one)
-        paths.setdefault(key, set()).add(one.path)
-    return [replace(one, more=len(paths[key]) - 1) for key, one in firsts.items()]
+        groups.setdefault(key, []).append(one)
+    return [replace(some[0], more=len({one.path for one in some}) - 1) for some in groups.values()]
 
 
 # --- file with file ------------------------------------------------------------------------------
@@ -209,9 +205,13 @@ def _values(
     camera: Camera, sensor: SensorFrames, fact: ComparedFact, group: Iterable[Stated]
 ) -> list[Valued]:
     """Return the frames of a group that state a fact, with its value."""
-    able = (one for one in group if fact.fields and one.role in fact.roles)
-    pairs = ((one, _value(camera, sensor, fact, one)) for one in able)
-    return [(one, value) for one, value in pairs if value is not None]
+    return [
+        (one, value)
+        for one in group
+        if fact.fields
+        and one.role in fact.roles
+        and (value := _value(camera, sensor, fact, one)) is not None
+    ]
 
 
 def _value(camera: Camera, sensor: SensorFrames, fact: ComparedFact, one: Stated) -> Any:

@@ -68,22 +68,17 @@ def count_codes(frames: Iterable[np.ndarray]) -> np.ndarray:
 def find_step(frames: Iterable[np.ndarray]) -> float:
     """Return the counts from one code of some frames to the next; 0 where they are no whole numbers.
 
-    1 where that is not plain: fewer than 64 codes, or more than 1 % of the pixels between the others. Bright frames show most.
+    1 where that is not plain: of fewer than 64 codes. Bright frames show most.
 
     >>> find_step([np.arange(4096, dtype=np.uint16).repeat(4) * 16]), find_step([np.ones(4)])
     (16.0, 0.0)
     """
     whole = [frame for frame in frames if frame.dtype.kind in "ui"]
-    histogram = count_codes(f for f in whole if f.dtype in (np.uint8, np.uint16))
-    if not whole or not histogram.any():
-        return 1.0 if whole else 0.0
-    present, codes = np.flatnonzero(histogram), np.flatnonzero(histogram >= FILLED)
-    if len(codes) < FEWEST_LEVELS:
-        return 1.0
-    gaps, often = np.unique(np.diff(codes), return_counts=True)
-    spacing = float(gaps[often >= 2].min(initial=MOST_CODES))
-    between = np.diff(present, prepend=-MOST_CODES) < 0.9 * spacing
-    return spacing if histogram[present[between]].sum() <= STRAY * histogram.sum() else 1.0
+    if not whole:
+        return 0.0
+    codes, count = _count(whole)
+    plain = np.count_nonzero(count >= FILLED) >= FEWEST_LEVELS
+    return float((_spacing(codes, count) if plain else None) or 1)
 
 
 class Alignment(NamedTuple):
@@ -131,7 +126,7 @@ class Alignment(NamedTuple):
 
 
 def find_alignment(frames: Iterable[np.ndarray]) -> Alignment | None:
-    """Return where the codes of some frames stand; None where they hold nothing. Floats that are whole numbers are codes of 16 bits.
+    """Return where the codes of frames stand; None where they hold nothing. Floats that are whole numbers are codes of 16 bits.
 
     >>> find_alignment([np.arange(100, dtype=np.uint16) * 16])
     Alignment(spacing=16, top=1584, capacity=65536)
@@ -154,20 +149,19 @@ def find_alignment(frames: Iterable[np.ndarray]) -> Alignment | None:
         capacity = int(np.iinfo(values.dtype).max) + 1
     if not values.size:
         return None
-    spacing = None if capacity < MOST_CODES // 2 else _spacing(values)
+    spacing = None if capacity < MOST_CODES // 2 else _spacing(*_count([values]))
     return Alignment(spacing, int(values.max()), capacity)
 
 
-def _spacing(values: np.ndarray) -> int | None:
+def _spacing(codes: np.ndarray, count: np.ndarray) -> int | None:
     """Return the distance of neighbouring codes, all but a hundredth of the pixels; None where it is chance."""
-    codes, count = _count([values])
-    shift = 1
-    while shift < MOST_CODES and count[codes % (2 * shift) != 0].sum() <= STRAY * values.size:
+    shift, stray = 1, STRAY * count.sum()
+    while shift < MOST_CODES and count[codes % (2 * shift) != 0].sum() <= stray:
         shift *= 2
     if np.count_nonzero(codes % shift == 0) < FEWEST_SPACED[0]:
         return None
     rarest = np.argsort(count, kind="stable")
-    kept = np.sort(codes[rarest[np.cumsum(count[rarest]) > STRAY * values.size]])
+    kept = np.sort(codes[rarest[np.cumsum(count[rarest]) > stray]])
     gap = int(np.diff(kept).min(initial=MOST_CODES))
     dense = len(kept) >= FEWEST_SPACED[1] and len(kept) * gap >= DENSE * (kept[-1] - kept[0])
     return max(shift, gap) if dense else shift

@@ -9,12 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from levkas.calibration.findings import refusal
-from levkas.calibration.templates import (
-    Template,
-    bands_alike,
-    level_of,
-    pick_bands,
-)
+from levkas.calibration.templates import Template, bands_alike, level_of, pick_bands
 
 SAME_TIME = 0.01  # relative: EXIF rounds 1/60 s to 0.017 s now and then
 
@@ -36,6 +31,7 @@ class MatchedDark:
     saturated: np.ndarray
     note: str = ""
     stretch: float = 0.0
+    parts: tuple[tuple[Template, float], ...] = ()
 
     @property
     def worked_out(self) -> bool:
@@ -47,8 +43,6 @@ class MatchedDark:
         if self.variance is None or not self.worked_out:
             return self.share
         return self.share * float(np.median(self.variance)) / max(read_variance, 1e-12)
-
-    parts: tuple[tuple[Template, float], ...] = ()
 
     @cached_property
     def level(self) -> float:
@@ -168,14 +162,11 @@ def _on_line(timed: list[Template], exposure_s: float) -> MatchedDark:
     )
     part = (exposure_s - _time(first)) / (_time(second) - _time(first))
     mean = (1 - part) * first.mean + part * second.mean
-    note = f"dark for {exposure_s:g} s taken on the line through {_time(first):g} s and "
-    return MatchedDark(
-        mean.astype(np.float32),
-        *_spread_on_line(first, second, part),
-        first.saturated | second.saturated,
-        f"{note}{_time(second):g} s",
-        parts=((first, (1 - part) * first.count**-0.5), (second, part * second.count**-0.5)),
-    )
+    ends = f"{_time(first):g} s and {_time(second):g} s"
+    note = f"dark for {exposure_s:g} s taken on the line through {ends}"
+    parts = ((first, (1 - part) * first.count**-0.5), (second, part * second.count**-0.5))
+    spread, full = _spread_on_line(first, second, part), first.saturated | second.saturated
+    return MatchedDark(mean.astype(np.float32), *spread, full, note, parts=parts)
 
 
 def _spread_on_line(
@@ -197,10 +188,8 @@ def _spread_on_line(
 def _scaled(dark: Template, exposure_s: float, black: float | np.ndarray | None) -> MatchedDark:
     scale = exposure_s / max(_time(dark), 1e-9)
     if black is None:
-        note = (
-            f"the dark of {_time(dark):g} s is used for {exposure_s:g} s as it is: the black level is unknown, and "
-            "what dark current there may be lies below the noise"
-        )
+        note = f"the dark of {_time(dark):g} s is used for {exposure_s:g} s as it is: the black level is unknown, and "
+        note += "what dark current there may be lies below the noise"
         return replace(_as_it_is(dark, note), stretch=scale - 1)
     mean = (black + (dark.mean - np.float32(black)) * np.float32(scale)).astype(np.float32)
     note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {np.mean(black):g}"

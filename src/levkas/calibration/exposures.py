@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -206,7 +206,11 @@ def find_bend(points: Sequence[Point], full: float) -> Bend:
     exposures = range(1, which.max() + 1)
     factors = [rest((which == one).astype(float)) for one in exposures]
     bent, shifted = rest(-counts / full), rest(full / counts)
-    left = _without(level, np.stack([bent, *factors, shifted], -1), weight)
+    left, columns = level, np.stack([bent, *factors, shifted], -1)
+    for _ in range(20):  # least absolute deviations: what moved draws the fit little
+        root = np.sqrt(weight / np.maximum(np.abs(left), 1e-4))
+        found = np.linalg.lstsq(columns * root[:, None], level * root, rcond=None)[0]
+        left = level - columns @ found
     usual = 1.4826 * float(np.median(np.abs(left)))
     kept = ~np.isin(group, group[np.abs(left) > max(OUTLIER * usual, CURVED)])
     root = np.sqrt(weight[kept] / weight[kept].mean())
@@ -230,16 +234,6 @@ def find_bend(points: Sequence[Point], full: float) -> Bend:
     return bend
 
 
-def _without(values: np.ndarray, columns: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return what a fit of least absolute deviations leaves: what moved draws it little."""
-    left = values
-    for _ in range(20):
-        root = np.sqrt(weight / np.maximum(np.abs(left), 1e-4))
-        found = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
-        left = values - columns @ found
-    return np.asarray(left)
-
-
 def require_scaling(found: Linearity, code: str = "not_reciprocal") -> None:
     """Refuse to scale counts from one exposure to another where they do not scale, E_EXPOSURES, or where nothing could be compared.
 
@@ -248,23 +242,18 @@ def require_scaling(found: Linearity, code: str = "not_reciprocal") -> None:
     if not found.points:
         raise refusal("linearity_unknown")
     if found.rms > RECIPROCAL:
-        where = (
-            f"worst {found.worst:+.1%} at {found.worst_at_s:g} s and {found.worst_level:.0f} counts"
-        )
-        raise refusal(code, where, found.rms, RECIPROCAL)
+        at = f"{found.worst_at_s:g} s and {found.worst_level:.0f} counts"
+        raise refusal(code, f"worst {found.worst:+.1%} at {at}", found.rms, RECIPROCAL)
 
 
 def doubt_scaling(taken: Sequence[float], other: Sequence[float], same: float) -> list[Finding]:
     """Report that counts are scaled from the white's times to the object's, s, without a series that shows that they scale."""
     if not taken or not other:
         return []
-    pairs = np.broadcast(np.array(taken), np.array(other))
-    if all(abs(mine / its - 1) <= same for mine, its in pairs):
+    if all(abs(mine / its - 1) <= same for mine, its in np.broadcast(taken, other)):
         return []
-    shown = (
-        " to ".join(f"{t:g}" for t in sorted({min(times), max(times)})) for times in (other, taken)
-    )
-    white, object_ = shown
+    ends = (sorted({min(times), max(times)}) for times in (other, taken))
+    white, object_ = (" to ".join(f"{t:g}" for t in times) for times in ends)
     return [Finding("not_scaled", f"the white for {white} s, the object for {object_} s")]
 
 
@@ -274,12 +263,8 @@ def _around(rate: np.ndarray, known: np.ndarray, period: tuple[int, int]) -> np.
     kernel = np.zeros((2 * rows + 1, 2 * columns + 1), np.float32)
     kernel[::rows, ::columns] = 1
     kernel[rows, columns] = 0
-    total, count = (
-        cv2.filter2D(
-            np.ascontiguousarray(a, np.float32), -1, kernel, borderType=cv2.BORDER_CONSTANT
-        )
-        for a in (np.where(known, rate, 0), known)
-    )
+    planes = (np.ascontiguousarray(a, np.float32) for a in (np.where(known, rate, 0), known))
+    total, count = (cv2.filter2D(a, -1, kernel, borderType=cv2.BORDER_CONSTANT) for a in planes)
     return (total / np.maximum(count, 1)).reshape(rate.shape)
 
 
@@ -364,10 +349,9 @@ def _fit(rows: list[Point], fit_offset: bool, exposures: Sequence[float] = ()) -
     rms = float(np.sqrt(np.mean(miss**2)))
     error = float("nan")
     if fit_offset:
-        freedom = max(len(rows) - design.shape[1], 1)
-        scaled = design / signal[:, None]
-        spread = np.linalg.pinv(scaled.T @ scaled)[-1, -1] * np.sum(miss**2) / freedom
-        error = float(np.sqrt(spread))
+        freedom, scaled = max(len(rows) - design.shape[1], 1), design / signal[:, None]
+        square = np.linalg.pinv(scaled.T @ scaled)[-1, -1] * np.sum(miss**2) / freedom
+        error = float(np.sqrt(square))
     at = float(times[worst]), offset, len(rows), float(signal[worst])
     # By their counts: an offset of all counts is no change of the light.
     of_times = [(signal[times == time], miss[times == time]) for time in exposures]
@@ -480,12 +464,10 @@ def read_variance_between(
     left_out: Sequence[np.ndarray],
     gain: float,
 ) -> tuple[float, float]:
-    """Estimate the noise without light of one shot, counts², from what the shortest and the longest exposure differ by, and the square of what `levels`, counts without light, miss; 0 where too few pixels show both.
+    """Estimate the noise without light of one shot, counts², by the shortest and the longest exposure, and the square of what `levels` miss.
 
-    With ρ = t_s/t_l, the difference S − ρL has variance read²(1 + ρ²) + gain·S(1 + ρ), and is not
-    correlated with ρS + L where read noise rules: by that pixels are sorted into groups. A group's
-    variance leaves out what chance does not explain, and of the dim groups the median counts, so that
-    what moved does not.
+    With ρ = t_s/t_l, the difference S − ρL has variance read²(1 + ρ²) + gain·S(1 + ρ), and is not correlated with ρS + L where read noise
+    rules: by that pixels are sorted into groups, of whose dim ones the median counts, so that what moved does not. 0 of too few pixels.
 
     >>> rng = np.random.default_rng(1)
     >>> shots = [Template(rng.normal(100, 3, (99, 99)), None, 1, *2 * [np.zeros((99, 99), bool)], t)
@@ -598,13 +580,13 @@ def _sums(
     for _ in range(ROUNDS if noise is not None else 1):
         total, weights = np.zeros(shape), np.zeros(shape)
         clipped = np.zeros(shape, np.uint8)
-        sums = _Sums(rate, total, weights, clipped)
+        sums = rate, total, weights, clipped
         for shot, under, read, marks in zip(timed, unders, reads, left_out, strict=True):
             planes = as_rows(shot.mean), as_rows(under.mean), as_marks(marks), as_marks(shot.black)
             scalars = shot.exposure_s or 0.0, read, 1.0 / shot.count, under.share_of(read)
-            parts: list[Any] = [*map(read_only, planes), *map(float, scalars)]
+            frame = (*map(read_only, planes), *map(float, scalars))
             numbers = float(full), float(offset), float(gain)
-            in_threads(_add_exposure, shape[0], _Frame(*parts), sums, numbers, worth=total.size)
+            in_threads(_add_exposure, shape[0], frame, sums, numbers, worth=total.size)
         rate = (total / np.where(weights > 0, weights, 1)).astype(np.float32)
     return total, weights, clipped, rate
 
@@ -626,34 +608,13 @@ def _in_order(shots: Sequence[Template]) -> list[Template]:
     return sorted(shots, key=lambda shot: shot.exposure_s or 0.0)
 
 
-class _Frame(NamedTuple):
-    """One exposure as (h, w) views, `dark` may be one line or one number: `time` in s, `read` the variance without light, counts²; shares of means in those of one shot."""
-
-    mean: np.ndarray
-    dark: np.ndarray
-    saturated: np.ndarray
-    black: np.ndarray
-    time: float
-    read: float
-    share: float
-    dark_share: float
-
-
-class _Sums(NamedTuple):
-    """Running sums of a merge, (h, w) each; `rate` is that of the round before."""
-
-    rate: np.ndarray
-    total: np.ndarray
-    weights: np.ndarray
-    clipped: np.ndarray
-
-
 @njit(cache=True)
 def _add_exposure(start, stop, frame, sums, numbers):  # type: ignore[no-untyped-def]
     """Add w·(mean − dark − offset)/time to `total` and w to `weights`, where not saturated.
 
-    w = time²/(share·(gain·rate·time + read) + dark_share·read), or `time` where `gain` < 0.
-    `clipped` keeps whether the last exposure that counted was clipped at black.
+    w = time²/(share·(gain·rate·time + read) + dark_share·read), or `time` where `gain` < 0, with the `rate` of the round before. All are
+    (h, w), `dark` may be one line or one number; `time` in s, `read` the variance without light, counts², `share` of a mean's variance in
+    that of one shot. `clipped` keeps whether the last exposure that counted was clipped at black.
     """
     mean, dark, saturated, black, time, read, share, dark_share = frame
     rate, total, weights, clipped = sums

@@ -223,12 +223,14 @@ def _explained(
     frames = stack.mean, np.broadcast_to(under, stack.mean.shape), stack.variance
     channels = (_channels(frame, period) for frame in frames)
     for *planes, of_lamp in zip(*channels, common, strict=True):
+        if not of_lamp > 0:
+            continue
         step = max(1, int(np.sqrt(planes[0].size / SAMPLE)))
         lit, dark, spread = (plane[::step, ::step].ravel() for plane in planes)
         light = lit - dark
         known = np.isfinite(light) & np.isfinite(spread)
         light, spread = light[known].astype(np.float64), np.maximum(spread[known], 1e-9)
-        if not light.size or not of_lamp > 0:
+        if not light.size:
             continue
         if level is None:
             shares.append(of_lamp / float(np.mean(spread)))

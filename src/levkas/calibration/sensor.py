@@ -48,17 +48,12 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import FrameRef, SensorFrames
     from levkas.core.cube import Cube
 
-HELD = 1 << 30
-"""Bytes of decoded frames of a sensor that are held until they are averaged; more are decoded twice. 33 bands of 1.4 Mpx, with whites, have 0.2 GB."""
-MIDDLE = 64
-"""Lines of a scan, neighbours, of which the codes are looked at."""
-FEW_PIXELS = 1000
-"""A smaller frame may hold one code by chance."""
-SHOTS = 4
-"""Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
-MOST_PROBLEMS = 50
-SERIES = 3
-"""Bands of a tunable filter whose exposure series show the sensor's black and curve: it is the same sensor."""
+HELD, MIDDLE = 1 << 30, 64
+"""Bytes of decoded frames that are held until they are averaged; more are decoded twice (33 bands of 1.4 Mpx, with whites, have 0.2 GB).
+Neighbouring lines of a scan of which the codes are looked at."""
+FEW_PIXELS, SHOTS, SERIES, MOST_PROBLEMS = 1000, 4, 3, 50
+"""A smaller frame may hold one code by chance; shots of a clipped dark that show its noise and pattern; bands of a tunable filter whose
+exposure series show black and curve of the sensor, which is the same; unreadable files that are named."""
 ROLES = ("object", "white", "chart", "dark")
 Times = float | tuple[float, ...] | None
 """Exposure of a frame, s: one, one a band where a header lists several, or not known."""
@@ -215,8 +210,7 @@ class SensorCapture:
             return made
         dark = frames[0] in self.sensor.dark
         level = self.level_under(frames, darks) if dark or len(frames) > 1 else 0.0
-        averaged = self._dark if dark else self._averaged
-        make = partial(averaged, frames, level)
+        make = partial(self._averaged, frames, level, dark=dark)
         kept = None if frames[0] in self.sensor.object else self.kept
         template = make() if kept is None else kept.template(
             frames, make, level=level, saturation=self.saturation, exposure=exposure_of(frames[0]),
@@ -234,9 +228,6 @@ class SensorCapture:
         for frames in [f for f in self._made if all(one.band == band for one in f)]:
             del self._made[frames]
 
-    def _dark(self, frames: Sequence[FrameRef], level: np.ndarray | float | None) -> Template:
-        return self.unclipped(self._averaged(frames, level), islice(self.read(frames), SHOTS))
-
     def unclipped(self, dark: Template, shots: Iterable[np.ndarray]) -> Template:
         """Return a dark as if it had not been clipped, by some of its shots; as it is where these do not show it."""
         if np.mean(dark.black) <= MANY_ZEROS:
@@ -246,9 +237,11 @@ class SensorCapture:
         except CalibrationRefused:
             return dark
 
-    def _averaged(self, frames: Sequence[FrameRef], level: np.ndarray | float | None) -> Template:
+    def _averaged(
+        self, frames: Sequence[FrameRef], level: np.ndarray | float | None, *, dark: bool
+    ) -> Template:
         with placing(frames):
-            return average_steady(
+            made = average_steady(
                 lambda: made_ahead(self.read(frames)),
                 level,
                 period=self.period,
@@ -258,6 +251,7 @@ class SensorCapture:
                 times_s=capture_times(frames),
                 white=frames[0] in self.sensor.white,
             )
+        return self.unclipped(made, islice(self.read(frames), SHOTS)) if dark else made
 
     def whole(self, template: Template, frames: Sequence[FrameRef]) -> Template:
         """Return a template whose every value is a number, what was none marked as lost, or as absent."""
@@ -378,7 +372,7 @@ def _summaries(frames: Frames, sensor: SensorFrames) -> dict[FrameRef, Summary]:
 
 
 def _wrong_with(context: SensorCapture, frame: FrameRef, made: Summary) -> Sequence[Problem]:
-    """Return what is wrong with a frame: codes beyond the bits that are declared; of an object one code, neither black nor full."""
+    """Return what is wrong with a frame: codes beyond the bits; of an object one code, neither black nor full."""
     if made.sample.dtype.kind not in "ui":
         return ()
     try:
@@ -419,16 +413,12 @@ def _with_full_scale(context: SensorCapture, summaries: dict[FrameRef, Summary])
     sensor, stated, record = context.sensor, context.stated, context.record
     strips = context.camera.traits.is_scanned
 
-    def samples(frames: Iterable[FrameRef]) -> list[np.ndarray]:
-        return [summaries[f].sample for f in frames]
-
-    scenes = [
-        (some, role == "white")
-        for role, frames in (("object", sensor.object), ("white", sensor.white))
-        for some in ([[f] for f in frames] if strips else _repeats(frames))
+    lit = [
+        SceneShots([summaries[f].sample for f in shots], frames is sensor.white)
+        for frames in (sensor.object, sensor.white)
+        for shots in ([[f] for f in frames] if strips else _repeats(frames))
     ]
-    lit = [SceneShots(samples(shots), even) for shots, even in scenes]
-    darks = samples(shots[0] for shots in _repeats(sensor.dark)[:SHOTS])
+    darks = [summaries[shots[0]].sample for shots in _repeats(sensor.dark)[:SHOTS]]
     found = find_full_scale(lit, darks, period=context.period[1])
     if found is None:
         record.quiet_white = level_of_a_quiet_white(lit, darks, period=context.period[1])
@@ -450,11 +440,10 @@ def _repeats(frames: Sequence[FrameRef]) -> list[list[FrameRef]]:
 def _with_black_of_series(context: SensorCapture) -> SensorCapture:
     """Return the sensor with the counts at no time at all by which exposures of a scene lie on a line, where darks are of one other time."""
     sensor, full = context.sensor, context.saturation
-    darks = {times_of(frame) for frame in sensor.dark}
-    lit = {times_of(frame) for frame in (*sensor.object, *sensor.white)}
-    if context.black is not None or len(darks) != 1 or full is None or lit <= darks:
+    if context.black is not None or full is None or context.camera.traits.is_scanned:
         return context
-    if context.camera.traits.is_scanned:
+    darks = {times_of(frame) for frame in sensor.dark}
+    if len(darks) != 1 or {times_of(f) for f in (*sensor.object, *sensor.white)} <= darks:
         return context
     for frames in (sensor.object, sensor.white):
         for band in bands_of_series(frames):
@@ -536,10 +525,8 @@ def capture_times(frames: Sequence[FrameRef]) -> tuple[float, ...] | None:
 
 def read_cube(frame: FrameRef) -> np.ndarray:
     """Read (lines, samples, bands), bands in the object's order: ENVI, or a TIFF whose pages are the bands."""
-    pages = read_facts(frame.path).pages
-    if pages > 1:
-        order = frame.order or range(pages)
-        planes = [read_frame(frame.path, page=page) for page in order]
+    if (pages := read_facts(frame.path).pages) > 1:
+        planes = [read_frame(frame.path, page=page) for page in frame.order or range(pages)]
         return np.ascontiguousarray(np.stack(planes, axis=-1))
     values = read_frame(frame.path)
     values = values if values.ndim == 3 else values[..., None]

@@ -98,8 +98,6 @@ def difference_between(
     It is ``"scene"``, with the correlation of detail; ``"light"``, % by which parts changed more than the rest; ``"place"``,
     native px; or ``"exposure"``, the ratio of counts above `black`. `full` is the full scale, counts.
 
-    Examples
-    --------
     >>> rng = np.random.default_rng(1)
     >>> scene = 60 + 2000 * rng.random((16, 20)).repeat(16, 0).repeat(16, 1)
     >>> def sight(of):
@@ -236,9 +234,8 @@ def shift_between(
     if peak < SURE:
         return None
     coarse = (coarse[0] * step[1], coarse[1] * step[0])
-    if np.hypot(*coarse) > 12 * max(frame.period) or not len(frame.patches):
-        return coarse
-    if len(frame.patches) != len(other.patches):
+    patched = len(frame.patches) == len(other.patches) > 0
+    if np.hypot(*coarse) > 12 * max(frame.period) or not patched:
         return coarse
     found = []
     for a, b in zip(frame.patches, other.patches, strict=True):
@@ -271,17 +268,14 @@ def _correlate(one: np.ndarray, other: np.ndarray) -> tuple[tuple[float, float],
         return (0.0, 0.0), 0.0
     product = irfft2(rfft2(planes[0]) * np.conj(rfft2(planes[1])), s=one.shape)
     y, x = divmod(int(np.argmax(product)), product.shape[1])
-    place = [
-        _vertex(product[y - 1, x], product[y, x], product[(y + 1) % len(product), x], y, one.shape[0]),
-        _vertex(product[y, x - 1], product[y, x], product[y, (x + 1) % one.shape[1]], x, one.shape[1]),
-    ]  # fmt: skip
-    return (place[1], place[0]), float(product[y, x]) / power
+    return (_vertex(product[y], x), _vertex(product[:, x], y)), float(product[y, x]) / power
 
 
-def _vertex(before: float, at: float, after: float, place: int, size: int) -> float:
-    """Return where the parabola through three values of a circular correlation is highest, −size/2 to size/2."""
+def _vertex(row: np.ndarray, place: int) -> float:
+    """Return where the parabola about a place of a circular correlation is highest, −size/2 to size/2."""
+    before, at, after = row[place - 1], row[place], row[(place + 1) % len(row)]
     bend = before - 2 * at + after
-    place = place - size if place > size // 2 else place
+    place = place - len(row) if place > len(row) // 2 else place
     return float(place + (0.5 * (before - after) / bend if bend < 0 else 0.0))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -18,8 +18,9 @@ from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
+ARRAYS = ("mean", "variance", "saturated", "black", "lost", "absent")
 MANY_PIXELS = 200_000  # of a frame whose median is asked for
 MOST_SHOTS = 65536  # beyond this n² · 65535² no longer fits 64 bits
 
@@ -93,6 +94,12 @@ class Template:
         """`level_of` the mean, counts."""
         return level_of(self.mean)
 
+    def taken(self, take: Callable[[np.ndarray], np.ndarray], **more: Any) -> Template:
+        """Return the template with a part of each of its arrays."""
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        parts = {name: take(array) for name, array in arrays.items() if array is not None}
+        return replace(self, **parts, **more)
+
 
 def level_of(frame: np.ndarray) -> float:
     """Return the median of a frame, of many pixels about `MANY_PIXELS`."""
@@ -111,20 +118,11 @@ def bands_alike(*templates: Template | None) -> list[np.ndarray] | None:
 
 def pick_bands(template: Template, bands: np.ndarray) -> Template:
     """Return some bands of a template, all of one exposure, as a template of that exposure."""
-    times, variance, lost = template.band_times_s, template.variance, template.lost
-    fit = template.fit
-    shots = template.shots
+    times, fit, shots = template.band_times_s, template.fit, template.shots
     if shots is not None:
         shots = replace(shots, levels=shots.levels[:, bands], error=shots.error[bands])
-    lost, absent = template.lost, template.absent
-    return replace(
-        template,
-        mean=template.mean[..., bands],
-        variance=None if variance is None else variance[..., bands],
-        saturated=template.saturated[..., bands],
-        black=template.black[..., bands],
-        lost=None if lost is None else lost[..., bands],
-        absent=None if absent is None else absent[..., bands],
+    return template.taken(
+        lambda array: array[..., bands],
         exposure_s=times[bands[0]] if times else template.exposure_s,
         band_times_s=None,
         fit=None if fit is None else fit._replace(variance=fit.variance[..., bands]),
@@ -159,19 +157,6 @@ def average(
     if sums is None:
         raise refusal("no_frames")
     return sums.template(exposure_s)
-
-
-def single_shot(
-    codes: np.ndarray, *, saturation: float | None = None, black_clip: float | None = 0.0
-) -> Template:
-    """Return what `average` gives of one shot, whose memory is not held on to.
-
-    >>> single_shot(np.array([[0, 7, 9]], np.uint16), saturation=9.0).saturated.tolist()
-    [[False, False, True]]
-    """
-    saturated = codes >= (np.inf if saturation is None else saturation)
-    clipped = codes <= (-np.inf if black_clip is None else black_clip)
-    return Template(codes.astype(np.float32), None, 1, saturated, clipped)
 
 
 class _Sums:
@@ -215,12 +200,19 @@ class _Sums:
             in_threads(_add_reals, len(rows), rows, before, totals, marks, limits)
 
     def template(self, exposure_s: float | None) -> Template:
+        marks, shape = (self.saturated, self.black), self.first.shape
         if self.totals is None:
-            mean = self.first.astype(np.float32)
-            return Template(mean, None, 1, self.saturated, self.black, exposure_s)
-        finish = _finish_codes if self.whole else _finish_reals
-        mean, variance = (a.reshape(self.first.shape) for a in finish(*self.totals, self.count))
-        return Template(mean, variance, self.count, self.saturated, self.black, exposure_s)
+            return Template(self.first.astype(np.float32), None, 1, *marks, exposure_s)
+        total, squares = self.totals
+        mean, variance = (np.empty(total.shape, np.float32) for _ in range(2))
+        if self.whole:
+            in_threads(_finish, len(total), total, squares, self.count, mean, variance)
+        else:
+            mean[...] = total
+            np.divide(squares, self.count - 1.0, out=variance, casting="same_kind")
+        return Template(
+            mean.reshape(shape), variance.reshape(shape), self.count, *marks, exposure_s
+        )
 
 
 # Rows are independent, so the bytes do not depend on the threads.
@@ -253,32 +245,15 @@ def _add_reals(start, stop, frame, before, totals, marks, limits):  # type: igno
             black[y, x] |= value <= low
 
 
-def _finish_codes(
-    total: np.ndarray, squares: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and variance of one shot from exact sums of `count` shots."""
-    mean, variance = np.empty(total.shape, np.float32), np.empty(total.shape, np.float32)
-    in_threads(_finish, len(total), total, squares, count, mean, variance)
-    return mean, variance
-
-
 @njit(cache=True)
 def _finish(start, stop, total, squares, count, mean, variance):  # type: ignore[no-untyped-def]
+    """Return mean and variance of one shot from exact sums of `count` shots."""
     freedom = count * (count - 1.0)
     for y in range(start, stop):
         for x in range(total.shape[1]):
             sums = np.uint64(total[y, x])
             mean[y, x] = np.float64(sums) / count
             variance[y, x] = np.float64(squares[y, x] * np.uint64(count) - sums * sums) / freedom
-
-
-def _finish_reals(
-    centre: np.ndarray, spread: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and variance of one shot from Welford's sums."""
-    variance = np.empty(spread.shape, np.float32)
-    np.divide(spread, count - 1.0, out=variance, casting="same_kind")
-    return centre.astype(np.float32), variance
 
 
 def as_rows(array: np.ndarray, kind: DTypeLike | None = np.float32) -> np.ndarray:
@@ -324,13 +299,9 @@ def close_gaps(template: Template) -> Template:
         lost |= ~np.isfinite(template.variance)
     mean = _filled(template.mean, lost)
     variance = None if template.variance is None else _filled(template.variance, lost)
+    saturated, black = template.saturated & ~lost, template.black & ~lost
     return replace(
-        template,
-        mean=mean,
-        variance=variance,
-        saturated=template.saturated & ~lost,
-        black=template.black & ~lost,
-        lost=lost,
+        template, mean=mean, variance=variance, saturated=saturated, black=black, lost=lost
     )
 
 

@@ -11,13 +11,12 @@ from levkas.calibration.findings import CalibrationRefused, Finding, refusal
 from levkas.calibration.patterns import channel_names, channel_table
 from levkas.calibration.templates import Template
 
-LIT = 0.7
-"""Share of a channel above the dark that light makes at least: noise alone makes a half, and paint of half the noise 0.69."""
-GAUSSIAN = 5.0  # 99th percentile over the median of noise without a sign is 3.8: a lit part of 1 % has more
-MOST = 0.5  # share of a channel's white that must be usable
-SAMPLE = 100_000  # pixels looked at to judge a white
-BEYOND = 1.05  # highest over lowest code of saturated sensels from which they are not clipped at one code
-SHOWN = 6  # channels that a message names
+LIT, GAUSSIAN = 0.7, 5.0
+"""Share of a channel above the dark that light makes at least: noise alone makes a half, and paint of half the noise 0.69. 99th
+percentile over the median of noise without a sign is 3.8: a lit part of 1 % has more."""
+MOST, SAMPLE, BEYOND, SHOWN = 0.5, 100_000, 1.05, 6
+"""Share of a channel's white that must be usable; pixels looked at; highest over lowest code of saturated sensels from which they are
+not clipped at one code; channels that a message names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +89,8 @@ def check_white(
         lit, under = next(iter(dark.values()))
         level_lit, level_under = float(np.median(lit)), float(np.median(under))
         swapped = len(dark) == len(channels) and level_under > 2 * level_lit
-        code, named = (
-            "white_swapped" if swapped else "white_dark",
-            _named(list(dark), len(channels)),
-        )
-        findings.append(Finding(code, named, level_lit, level_under))
+        code = "white_swapped" if swapped else "white_dark"
+        findings.append(Finding(code, _named([*dark], len(channels)), level_lit, level_under))
     if saturated:
         lit, clipped = next(iter(saturated.values()))
         lowest, highest = np.percentile(lit[clipped], (1, 99))
@@ -144,15 +140,13 @@ def _channels(
 ) -> list[tuple[str, tuple]]:
     """Return (how to name it, index) of each channel, thinned to about `SAMPLE` pixels."""
     step = thinning(white.mean.shape[:2])
+    thin = np.s_[::step, ::step]
     if white.mean.ndim == 3:
         names = labels or [str(band) for band in range(white.mean.shape[2])]
-        thin = (slice(None, None, step), slice(None, None, step))
         return [(name, (*thin, band)) for band, name in enumerate(names)]
     if pattern is None:
-        return [(labels[0] if labels else "", (slice(None, None, step), slice(None, None, step)))]
+        return [(labels[0] if labels else "", thin)]
     table, names = channel_table(pattern), channel_names(pattern)
     rows, columns = (-(-step // size) * size for size in table.shape)
     places = {name: np.argwhere(table == i)[0] for i, name in enumerate(names)}
-    return [
-        (name, (slice(y, None, rows), slice(x, None, columns))) for name, (y, x) in places.items()
-    ]
+    return [(name, np.s_[y::rows, x::columns]) for name, (y, x) in places.items()]

@@ -43,17 +43,10 @@ BRIGHT, FEW_BRIGHT = 5.0, 0.001
 def count_above(cube: Cube) -> np.ndarray:
     """Count values above the perfect diffuser and below the dark by more than their noise, band by band, without defects.
 
-    Glare that half of the bands or more show in one place is that of the surface; what fewer show there is light of their own.
+    Glare that half of the bands or more show in one place is that of the surface; what fewer show there is light of their own. The
+    rows are: above and all beside glare, above and all with it, and below the dark; stretches of 16 values in a row, those whose mean
+    is below zero by more than noise, and the sum of these means, 10⁻⁶; above the dark at all, and for certain; zeros of counts.
 
-    Returns
-    -------
-    counts : ndarray, (10, bands), int64
-        Above and all beside glare, above and all with it, and below the dark; stretches of 16 values in a row, those whose mean is
-        below zero by more than noise, and the sum of these means, 10⁻⁶; above the dark at all, and for certain. Nothing but zeros
-        of counts.
-
-    Examples
-    --------
     >>> from levkas.core.cube import Band
     >>> values = np.array([[[0.5], [1.2], [-0.1]]], np.float32)
     >>> cube = Cube(values, np.zeros(values.shape, np.uint8), np.full(values.shape, 0.01, np.float32), (Band("R"),))

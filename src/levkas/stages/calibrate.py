@@ -53,6 +53,7 @@ from levkas.stages.exposures import (
     mark_glare_in,
     noise_of,
     noise_of_band,
+    open_frames,
     require_same_size,
     require_white,
     white_area_of,
@@ -71,7 +72,6 @@ from levkas.stages.measurements import (
     stray_light_by,
 )
 from levkas.stages.native_files import filed_parts, part_name, require_memory, write_native
-from levkas.stages.opening import open_frames
 from levkas.stages.parts import CalibratedCapture, Part, Placement, median_focus
 from levkas.stages.scans import develop_scan, is_streamed, open_scan
 from levkas.stages.shared_noise import Mosaic

@@ -23,18 +23,22 @@ from levkas.calibration.findings import Finding, refusal
 from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.noise_fit import fit_noise_of_band, fit_noise_of_frames
 from levkas.calibration.reflectance import movement, with_marks
-from levkas.calibration.sensor import SensorCapture, exposure_of, placed, placing
+from levkas.calibration.sensor import SensorCapture, exposure_of, open_sensor, placed, placing
 from levkas.calibration.templates import CalibrationRefused, Template, gaps_of
 from levkas.calibration.white_area import WhiteArea, find_white_area
 from levkas.calibration.whites import WhiteBoard, check_white
 from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.rounding import round_root, round_values
 from levkas.quality.image_quality.glare import mark_glare
+from levkas.stages.spectra import board_of
 
 if TYPE_CHECKING:
+    from levkas.calibration.chart_light import ChartLight
     from levkas.calibration.exposures import Merged
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.campaign.discovery.captures import FrameRef
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
+    from levkas.stages.template_cache import TemplateCache
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,24 @@ class Exposed:
 
     shot: Template
     moved: np.ndarray | None = None
+
+
+def open_frames(
+    capture: Capture,
+    campaign: Campaign,
+    sensor: SensorFrames,
+    templates: TemplateCache,
+    light: ChartLight | None = None,
+) -> SensorCapture:
+    """Decode the frames of a sensor, and return what holds for all of them."""
+    board, white = board_of(campaign, capture, sensor), campaign.targets.white
+    doubts: list[Finding | str] = [*board.notes]
+    if light is None and sensor.white and white and white.reflectance is None:
+        doubts.append(Finding("white_unknown"))
+    camera, reflectance = campaign.cameras[capture.camera], board.reflectance
+    return open_sensor(
+        *(camera, sensor, templates), light=light, reflectance=reflectance, doubts=doubts
+    )
 
 
 def average_shots(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -154,21 +154,11 @@ def _unlike_channels(stacks: Stacks, noise: NoiseModel) -> dict[str, float]:
     black, found = stacks.context.black_level, {}
     under = [level_under(stack, stacks.darks, black=black) for stack in lit]
     for label, phase in stacks.phases.items():
-        parts = [_of_phase(stack, phase) for stack in lit]
+        parts = [stack.taken(lambda a, p=phase: _phase(a, p), shots=None) for stack in lit]
         ratio = compare_noise(noise, parts, [_phase(level, phase) for level in under])
         if not 1 / UNLIKE < ratio < UNLIKE:
             found[label] = rounded(ratio, 3)
     return found
-
-
-def _of_phase(stack: Template, phase: Phase) -> Template:
-    """Return a template of the sensels of one band."""
-    arrays: dict[str, Any] = {
-        name: _phase(array, phase)
-        for name in ("mean", "variance", "saturated", "black", "lost", "absent")
-        if (array := getattr(stack, name)) is not None
-    }
-    return replace(stack, shots=None, **arrays)
 
 
 def _black_change(stacks: Stacks) -> LampChange | None:
@@ -266,13 +256,12 @@ def sensor_noise(
 
     if noise is None or saturation is None:
         return None
-    floor = float(np.mean(dark.mean)) if dark is not None else black
-    read = _noise_in_the_dark(dark, noise.step)
+    full = saturation - (float(np.mean(dark.mean)) if dark is not None else black)
+    read, gain = _noise_in_the_dark(dark, noise.step), float(noise.gain)
     if read is None and noise.read_variance > noise.step**2 / 12 * 1.01:
         read = float(np.sqrt(noise.read_variance))
     if read is None:  # the fit had one level only, and took rounding for all there is
         return None
-    full, gain = saturation - floor, float(noise.gain)
     stops = sensor_stops(full, read)
     return SensorNoise(full=full, read_noise=read, gain=gain, stops=stops, source=noise.source)
 

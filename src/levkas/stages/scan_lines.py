@@ -23,11 +23,11 @@ from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
     as_absent,
+    average,
     bands_alike,
     gaps_of,
     no_values,
     pick_bands,
-    single_shot,
 )
 from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import Flag
@@ -127,7 +127,7 @@ class Strip:
         codes = context.checked(self.file.read(start, stop), frame)
         shape = codes.shape
         clip = context.black_clip
-        shot = single_shot(codes, saturation=context.saturation, black_clip=clip)
+        shot = average([codes], saturation=context.saturation, black_clip=clip)
         del codes
         shot = timed(gaps_marked(shot), times_of(frame))
         if self.file.holds_nothing:

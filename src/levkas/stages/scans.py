@@ -26,9 +26,8 @@ from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 from levkas.stages.above_white import COUNTS, count_above, findings_of_counts
 from levkas.stages.capture_statistics import Middle
-from levkas.stages.exposures import cube_of, mark_glare_in
+from levkas.stages.exposures import cube_of, mark_glare_in, open_frames
 from levkas.stages.measurements import stray_light_by
-from levkas.stages.opening import open_frames
 from levkas.stages.parts import (
     CalibratedCapture,
     Part,
