@@ -29,7 +29,6 @@ from levkas.calibration.sensor import (
     placing,
     white_shots,
 )
-from levkas.calibration.stated import doubts_of, require_sound
 from levkas.calibration.templates import CalibrationRefused
 from levkas.calibration.white_area import WhiteArea, joined_area
 from levkas.calibration.whites import WhiteBoard
@@ -47,6 +46,7 @@ from levkas.stages.exposures import (
     average_shots,
     check_scaling,
     cube_of,
+    doubts_of,
     expose,
     flatten,
     lost_values,
@@ -55,6 +55,7 @@ from levkas.stages.exposures import (
     noise_of_band,
     open_frames,
     require_same_size,
+    require_sound,
     require_white,
     white_area_of,
     white_of,

@@ -16,7 +16,6 @@ from levkas.calibration.findings import Finding, decide
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.record import findings_of, findings_of_lamp
 from levkas.calibration.sensor import SensorCapture, placing
-from levkas.calibration.stated import doubts_of, require_sound
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.rounding import round_root
 from levkas.core.threads import each, made_ahead
@@ -26,7 +25,7 @@ from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 from levkas.stages.above_white import COUNTS, count_above, findings_of_counts
 from levkas.stages.capture_statistics import Middle
-from levkas.stages.exposures import cube_of, mark_glare_in, open_frames
+from levkas.stages.exposures import cube_of, doubts_of, mark_glare_in, open_frames, require_sound
 from levkas.stages.measurements import stray_light_by
 from levkas.stages.parts import (
     CalibratedCapture,
