@@ -17,20 +17,19 @@ from levkas.calibration.findings import refusal
 from levkas.calibration.patterns import thin_periods
 from levkas.calibration.templates import DarkFit, Template
 
-MANY_ZEROS = 0.005  # of the pixels: fewer bias the mean of a dark by less than 0.002 of its noise
-FAR = 4.0  # spreads from 0 to the median: zeros below are dead sensels', not the noise's
-NODES = 17  # of Gauss and Hermite
-ENDS = 2.0  # probit up to which, or from that of zeros on, a dark is normal: above it warm sensels tell
-FEWEST = 30  # pixels at codes 2 to 4, without which spread and black cannot be separated
-MOST_PIXELS = 1_000_000  # of a dark that are looked at
-MOST_BANDS = 16  # of a cube, each with a black of its own; of more the sensels' own levels give it
-SMOOTH = 25  # sensels a side of a neighbourhood: its mean is known to a twenty-fifth of the noise
-GLOWS = 5.0  # deviations by which these means vary by more than noise makes them, from which on a dark glows
-ALIKE = 0.25  # share of the sensels of a glowing dark that noise and pattern are fitted to: those of middle level
-HOT = 5.0  # deviations of a sensel's mean beyond which its level is its own
-PAIRS, ENOUGH = (4, 64), 10_000  # of lines of a scan's dark; samples of a band in them
-LEVELS = 401  # at which the moments of clipped shots are worked out
-FEWEST_SHOTS = 3  # whose mean shows more than that it is clipped
+MANY_ZEROS, FAR = 0.005, 4.0
+"""Of the pixels: fewer bias the mean of a dark by less than 0.002 of its noise; spreads from 0 to the median: zeros below are dead sensels'."""
+NODES, ENDS, FEWEST = 17, 2.0, 30
+"""Of Gauss and Hermite; probit up to which, or from that of zeros on, a dark is normal: above it warm sensels tell; pixels at codes 2 to 4."""
+MOST_PIXELS, MOST_BANDS = 1_000_000, 16
+"""Of a dark that are looked at; of a cube, each with a black of its own: of more the sensels' own levels give it."""
+SMOOTH, GLOWS, ALIKE = 25, 5.0, 0.25
+"""Sensels a side of a neighbourhood: its mean is known to a twenty-fifth of the noise; deviations of these means beyond noise, from which
+on a dark glows; share of its sensels, of middle level, that noise and pattern are fitted to."""
+HOT, PAIRS, ENOUGH = 5.0, (4, 64), 10_000
+"""Deviations of a sensel's mean beyond which its level is its own; of lines of a scan's dark; samples of a band in them."""
+LEVELS, FEWEST_SHOTS = 401, 3
+"""At which the moments of clipped shots are worked out; whose mean shows more than that it is clipped."""
 
 
 class DarkLevel(NamedTuple):
@@ -117,13 +116,10 @@ def fit_clipped_dark(frames: Sequence[np.ndarray], *, step: float = 1.0) -> Dark
         return float(np.average(clipped_moments(levels, noise)[1], weights=weights) - apart)
 
     least = 0.05 * spread
-    noise = (
-        spread
-        if missing(spread) <= 0
-        else least
-        if missing(least) >= 0
-        else brentq(missing, least, spread)
-    )
+    if missing(spread) <= 0:
+        noise = spread
+    else:
+        noise = least if missing(least) >= 0 else brentq(missing, least, spread)
     fixed = float(np.sqrt(max(spread**2 - noise**2, 0.0)))
     error = float(np.hypot(error, fixed / np.sqrt(len(codes[0]))))
     return DarkLevel(black * step, noise * step, fixed * step, error * step, zeros)

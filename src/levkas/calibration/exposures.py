@@ -107,8 +107,7 @@ def check_linearity(
 ) -> Linearity:
     """Compare exposures of one still scene, of different known `exposure_s`, over 5 to 95 % of `saturation`, counts.
 
-    Darks and `black` are subtracted as in `darks.match_dark`. An offset common to all is fitted where cameras that clip their darks at 0
-    hide one. A pixel takes part at the exposures at which neither it nor one beside it comes near saturation, predicted from the
+    An offset common to all is fitted where cameras that clip their darks at 0 hide one. A pixel takes part at the exposures at which neither it nor one beside it comes near saturation, predicted from the
     rates of its neighbours one `period`, (rows, columns), away. Pixels of like range and rate, by the same neighbours, make a group.
     """
     points = find_points(shots, darks, saturation=saturation, black=black, period=period)
@@ -124,19 +123,17 @@ def find_points(
     period: tuple[int, int] = PERIOD,
     contrast: float = np.inf,
 ) -> list[Point]:
-    """Return what exposures of one still scene have in common: groups of pixels, and their counts at each.
+    """Return what exposures of one still scene have in common: groups of pixels, and their counts at each, as of `check_linearity`.
 
-    Parameters are those of `check_linearity`; `contrast` is that of the pixels of a group, at most: scaling
-    commutes with the mean of any, a curve only with that of pixels that are alike.
+    `contrast` is that of the pixels of a group, at most: scaling commutes with the mean of any, a curve only with that of like pixels.
     """
     timed = sorted(shots, key=lambda shot: shot.exposure_s or 0.0)
-    rows, signal, usable = slice(0, MANY_ROWS), [], []
-    for shot in timed:
-        under = dark_under(shot, darks, black=black).mean
-        signal.append((shot.mean - under).astype(np.float32)[rows])
-        usable.append(~shot.saturated[rows])
+    under = [dark_under(shot, darks, black=black).mean for shot in timed]
+    pairs = zip(timed, under, strict=True)
+    signal = np.array([(s.mean - u).astype(np.float32)[:MANY_ROWS] for s, u in pairs])
+    usable = np.array([~shot.saturated[:MANY_ROWS] for shot in timed])
     times = np.array([shot.exposure_s for shot in timed], float)
-    return _points(np.array(signal), np.array(usable), times, saturation, period, contrast)
+    return _points(signal, usable, times, saturation, period, contrast)
 
 
 def find_black(
@@ -426,10 +423,8 @@ def merge_exposures(
     if scaling.points:
         require_scaling(scaling, "not_linear")
     levels = [under.mean + np.float32(scaling.offset) for under in unders]
-    early = _full_early(timed, levels, saturation)
-    full = [
-        s.saturated | (s.mean > USABLE * saturation) | e for s, e in zip(timed, early, strict=True)
-    ]
+    early = zip(timed, _full_early(timed, levels, saturation), strict=True)
+    full = [s.saturated | (s.mean > USABLE * saturation) | e for s, e in early]
     apart = [
         cv2.dilate(marks.astype(np.uint8), np.ones((3, 3), np.uint8)).reshape(marks.shape) > 0
         for marks in full
@@ -444,11 +439,9 @@ def merge_exposures(
     template = replace(template, shots=_light_of_exposures(timed, scaling))
     moved = None
     if allowed is not None:
+        reads = [allowed.read_under(under) for under in unders]
         moved = find_moved_between(
-            *(timed, levels, template.mean, allowed),
-            reads=[allowed.read_under(under) for under in unders],
-            left_out=apart,
-            period=period,
+            timed, levels, template.mean, allowed, reads=reads, left_out=apart, period=period
         )
     return Merged(template, scaling, moved)
 
@@ -480,10 +473,8 @@ def read_variance_between(
     ratio = (short.exposure_s or 0.0) / (long.exposure_s or 1.0)
     step = max(1, short.mean.size // OF_NOISE[2])
     good = ~(short.black | long.black | left_out[0] | left_out[-1]).ravel()[::step]
-    lit = [
-        (shot.mean - level).ravel()[::step][good].astype(float)
-        for shot, level in ((short, levels[0]), (long, levels[-1]))
-    ]
+    ends = ((short, levels[0]), (long, levels[-1]))
+    lit = [(s.mean - level).ravel()[::step][good].astype(float) for s, level in ends]
     order = np.argsort(ratio * lit[0] + lit[1], kind="stable")
     apart, dim = (lit[0] - ratio * lit[1])[order], (ratio * lit[1])[order]
     parts = np.array_split(np.arange(len(order)), min(OF_NOISE[0], len(order) // OF_NOISE[1]) or 1)
@@ -549,18 +540,9 @@ def _merge(
         variance = (1 / np.where(lost, 1, weights)).astype(np.float32)
         variance[lost] = noise.variance(rate[lost] * shortest) / shortest**2
         variance = variance.reshape(first.mean.shape)
-    whole = first.mean.shape
-    return Template(
-        rate.reshape(whole),
-        variance,
-        1,
-        lost.reshape(whole),
-        clipped.reshape(whole) > 0,
-        1.0,
-        union_of(*(shot.lost for shot in timed)),
-        above_dark=True,
-        absent=union_of(*(shot.absent for shot in timed)),
-    )
+    mean, full_in_all, black = (a.reshape(first.mean.shape) for a in (rate, lost, clipped > 0))
+    gone, absent = (union_of(*(getattr(s, name) for s in timed)) for name in ("lost", "absent"))
+    return Template(mean, variance, 1, full_in_all, black, 1.0, gone, True, absent=absent)
 
 
 def _sums(

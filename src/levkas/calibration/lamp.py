@@ -181,10 +181,8 @@ def average_steady(
     shots = replace(shots, times_s=moments, unlike=tuple(unlike))
     lamp = level is None or STEADY[0] < shots.levels.min() <= shots.levels.max() < STEADY[1]
     if lamp and _explained(template, shots, level, period) > EXPLAINED:
-        steadied = (
-            _steadied(frame, found, level, period)
-            for frame, found in zip(read(), shots.levels, strict=True)
-        )
+        each = zip(read(), shots.levels, strict=True)
+        steadied = (_steadied(frame, found, level, period) for frame, found in each)
         again = average(steadied, exposure_s=exposure_s)
         template = replace(again, saturated=template.saturated, black=template.black)
     return replace(template, shots=shots)
@@ -360,12 +358,9 @@ def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
     flicker = np.sqrt(squares / max(int(freedom.sum()), 1))
     reaches = [t.reach * _reach(s, white, shot) for t, s in zip(trends, stacks, strict=True)]
     single = flicker**2 * sum(1 / len(one.levels) for one in stacks)
-    return LampChange(
-        np.sqrt(np.maximum(*reaches) ** 2 + single),
-        trends[0].change,
-        trends[1].change,
-        flicker if freedom.any() else np.full(len(flicker), np.nan),
-    )
+    sigma = np.sqrt(np.maximum(*reaches) ** 2 + single)
+    known = flicker if freedom.any() else np.full(len(flicker), np.nan)
+    return LampChange(sigma, trends[0].change, trends[1].change, known)
 
 
 def black_between(dark: ShotLevels, shot: ShotLevels | None = None) -> LampChange:
@@ -415,13 +410,9 @@ def lamp_along(white: ShotLevels, lines: int) -> LampChange:
     reach = (count / 2 + lines) / count
     drift = np.where(known, np.hypot(group.change, group.error) * min(reach, LONG), group.reach)
     flicker = trend_of(white).flicker
-    return LampChange(
-        np.nan_to_num(np.hypot(drift[of_band], np.nan_to_num(flicker) * np.sqrt(1 + 1 / count))),
-        np.where(known, group.change, 0.0)[of_band],
-        none,
-        flicker,
-        reach,
-    )
+    sigma = np.hypot(drift[of_band], np.nan_to_num(flicker) * np.sqrt(1 + 1 / count))
+    changed = np.where(known, group.change, 0.0)[of_band]
+    return LampChange(np.nan_to_num(sigma), changed, none, flicker, reach)
 
 
 class Trend(NamedTuple):
