@@ -64,7 +64,7 @@ class LampNumbers(TypedDict, total=False):
 class SensorRecord:
     """Measurements of one sensor in one capture; those of its bands by their labels.
 
-    `light` is how even the white is (`measurements.record_light`), `noise_shares` what shots, white and darks add to the noise where the
+    `light` is how even the white is (`measurements.light_of`), `noise_shares` what shots, white and darks add to the noise where the
     signal is middling and `rounding` the step of the codes, in the unit of the values; `black_wander`, counts, is how far the black level
     is known, `mean_of_view` the mean reflectance of all that a band shows, `unlike_noise` the variance of bands over that of all,
     `white_shots` by how much parts of the shots of a white differ, relative, `sensels` noise and signal-to-noise of a mosaic's sensels,

@@ -117,7 +117,7 @@ def bands_alike(*templates: Template | None) -> list[np.ndarray] | None:
 
 
 def pick_bands(template: Template, bands: np.ndarray) -> Template:
-    """Return some bands of a template, all of one exposure, as a template of that exposure."""
+    """Return some bands of a template, all of one exposure, as a template of it."""
     times, fit, shots = template.band_times_s, template.fit, template.shots
     if shots is not None:
         shots = replace(shots, levels=shots.levels[:, bands], error=shots.error[bands])
@@ -257,20 +257,12 @@ def _finish(start, stop, total, squares, count, mean, variance):  # type: ignore
 
 
 def as_rows(array: np.ndarray, kind: DTypeLike | None = np.float32) -> np.ndarray:
-    """Return (h, w) or (h, w, b) as (h, w·b) of dtype `kind` (None: its own); a view if it can be.
-
-    >>> as_rows(np.zeros((2, 3, 4))).shape
-    (2, 12)
-    """
+    """Return (h, w) or (h, w, b) as (h, w·b) of dtype `kind` (None: its own); a view if it can be."""
     return np.ascontiguousarray(array, kind).reshape(array.shape[0], -1)
 
 
 def as_marks(mask: np.ndarray) -> np.ndarray:
-    """Return a boolean mask as (h, w·b) bytes that share its memory.
-
-    >>> as_marks(np.array([[True, False]])).tolist()
-    [[1, 0]]
-    """
+    """Return a boolean mask as (h, w·b) bytes that share its memory."""
     return as_rows(mask, bool).view(np.uint8)
 
 

@@ -12,12 +12,9 @@ from levkas.core.compiled import njit
 from levkas.core.cube import Cube, Flag
 from levkas.core.threads import in_threads
 
-ABOVE = 1.02
+ABOVE, FEW, NAMED = 1.02, 0.03, 3
 """Reflectance: a board of 0.99 in the picture stays below with its noise. At 1.01 noise counts, at 1.03 a light that is
-5 per cent too bright hides."""
-FEW = 0.03
-"""Share of a band that may be brighter, of gold and gloss that is no glare."""
-NAMED = 3
+5 per cent too bright hides. Share of a band that may be brighter, of gold and gloss that is no glare; bands that are named."""
 SURE = 2.0
 """Standard deviations by which a value has to be above, so that noise of weak bands counts as nothing: at 1 a sixth of it
 does, at 3 a light that is 5 per cent too bright hides in noise of 1 per cent."""
@@ -133,8 +130,7 @@ def findings_of_counts(counts: np.ndarray, labels: Sequence[str]) -> Iterator[Fi
     ):
         worst = np.argsort(-sizes, kind="stable")
         if (worst := worst[odd[worst]]).size:
-            names = ", ".join(labels[i] for i in worst[:NAMED]) + (
-                " …" if len(worst) > NAMED else ""
-            )
-            subject = f"{names} ({len(worst)} of {len(labels)} bands)"
+            names = ", ".join([*(labels[i] for i in worst[:NAMED])])
+            more = " …" if len(worst) > NAMED else ""
+            subject = f"{names}{more} ({len(worst)} of {len(labels)} bands)"
             yield Finding(code, subject, float(sizes[worst[0]]))

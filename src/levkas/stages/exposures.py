@@ -98,12 +98,10 @@ def expose(
     context: SensorCapture, shots: list[Template], darks: list[Template], noise: NoiseModel | None
 ) -> Exposed:
     """The object's frames as one: averaged, the best exposure, or all merged above dark."""
-    if len(shots) == 1:
-        return Exposed(shots[0])
-    if context.camera.exposures == "merge":
+    if len(shots) > 1 and context.camera.exposures == "merge":
         merged = _merge(context, shots, darks, noise)
         return Exposed(merged.template, merged.moved)
-    return Exposed(best_exposure(shots))
+    return Exposed(best_exposure(shots) if len(shots) > 1 else shots[0])
 
 
 def _period(context: SensorCapture) -> tuple[int, int]:
@@ -220,7 +218,7 @@ def noise_of_band(
     whites: list[Template],
     darks: list[Template],
 ) -> tuple[NoiseModel | None, float]:
-    """Return the noise of a band with frames of its own: the sensor's, or where these deny that their own; and its variance over the sensor's."""
+    """Return the noise of a band with frames of its own, the sensor's unless these deny that; and its variance over the sensor's."""
     if noise is None:
         return None, 1.0
     whites = [] if context.light is not None else whites
@@ -296,13 +294,8 @@ def flatten(
 
 
 def lost_values(lost: np.ndarray, subject: str) -> str:
-    """Report how many values were lost.
-
-    >>> lost_values(np.array([True, False, False, False]), "550 nm")
-    'values that are not finite numbers are flagged as defects: 550 nm: 1 of 4'
-    """
-    count = int(np.count_nonzero(lost))
-    return Finding("lost", subject, count, lost.size).describe()
+    """Report how many values were lost."""
+    return Finding("lost", subject, int(np.count_nonzero(lost)), lost.size).describe()
 
 
 def cube_of(

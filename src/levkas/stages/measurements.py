@@ -75,15 +75,11 @@ class Stacks:
     @cached_property
     def phases(self) -> dict[str, Phase]:
         """Rows and columns of the first sensels of each band of a frame: all of a sensor without a mosaic."""
-        table = np.zeros((1, 1), int)
-        if self.board.pattern is not None:
-            table = channel_table(self.board.pattern, self.labels)
-        firsts = (np.argwhere(table == k)[0].tolist() for k in range(len(self.labels)))
+        pattern, labels = self.board.pattern, self.labels
+        table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern, labels)
         rows, columns = table.shape
-        return {
-            label: (slice(y, None, rows), slice(x, None, columns))
-            for label, (y, x) in zip(self.labels, firsts, strict=True)
-        }
+        firsts = (np.argwhere(table == k)[0].tolist() for k in range(len(labels)))
+        return {labels[k]: np.s_[y::rows, x::columns] for k, (y, x) in enumerate(firsts)}
 
     @cached_property
     def per_count(self) -> dict[str, float]:
@@ -299,10 +295,8 @@ def sensels_of(
     if variance is None:
         return {}
     found = sensel_noise(values, flags, variance, channel_table(pattern, labels))
-    return {
-        label: {"noise": as_number(noise), "snr": as_number(snr)}
-        for label, (noise, snr) in zip(labels, found, strict=True)
-    }
+    rows = zip(labels, found, strict=True)
+    return {label: {"noise": as_number(n), "snr": as_number(snr)} for label, (n, snr) in rows}
 
 
 # --- the light ----------------------------------------------------------------------------------
@@ -330,7 +324,7 @@ def light_of(
         except LightRefused as refused:
             light[label] = {"refused": str(refused.problems[0])}
             continue
-        light[label] = record_light(found, (apart[0] * period[0], apart[1] * period[1]))
+        light[label] = _record_of_light(found, apart[0] * period[0], apart[1] * period[1])
         if white is not None and not white.above_dark:
             light[label]["bits"] = [round(b, 2) for b in found.bits]
     return light
@@ -353,20 +347,17 @@ def _planes(
         yield labels[i], above[phase], full[phase], (columns, rows)
 
 
-def record_light(field: LightField, period: tuple[int, int] = (1, 1)) -> dict[str, Any]:
-    """Return a light field as a record; `period` is of the mosaic that the plane was taken from."""
+def _record_of_light(field: LightField, across: int, down: int) -> dict[str, Any]:
+    """Return a light field of every so-many-th pixel across and down as a record."""
     levels = np.round(field.levels * LEVELS).astype("<u2")
     x, y, width, height = field.rectangle
-    across, down = period
     return {
         "levels": base64.b64encode(levels.tobytes()).decode("ascii"),
         "shape": list(levels.shape),
         "step": [field.step * across, field.step * down],
         "size": [field.size[0] * across, field.size[1] * down],
         "rectangle": [x * across, y * down, width * across, height * down],
-        "drop": field.drop,
-        "uniformity": field.uniformity,
-        "share": field.share,
+        **{name: getattr(field, name) for name in ("drop", "uniformity", "share")},
     }
 
 
