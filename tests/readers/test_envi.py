@@ -140,7 +140,7 @@ def test_day_and_time_of_a_scan_are_read(tmp_path, said, found):
         ("tint = {10, 20, 40}", (0.01, 0.02, 0.04)),
         ("integration time = 20", "integration time = 20"),  # HySpex's are µs, others' ms
         ("tint = 20\nexposure = 10 ms", "tint = 20; exposure = 10 ms"),
-        ("exposures = {10 ms, 20 us, 40 ms}", "exposures = {10 ms, 20 us, 40 ms}"),
+        ("exposures = {10 ms, 20 us, 40 ms}", "exposures = 10 ms, 20 us, 40 ms"),
         ("tint = 0\nexposure = auto\nexposure mode = 3", None),
     ],
 )

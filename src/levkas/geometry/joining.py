@@ -46,19 +46,15 @@ def box_on_grid(transform: Transform, size: tuple[int, int], grid: tuple[int, in
     (19, 0, 51, 16)
     """
     along = np.linspace(0.0, 1.0, AROUND)
-    sides = [
-        pair for end in (0.0, 1.0) for pair in ((along, along * 0 + end), (along * 0 + end, along))
-    ]
-    outline = np.concatenate([np.stack(pair, 1) for pair in sides]) * size - 0.5
-    places = transform.inverse(outline)
+    x, y = (a.ravel() for a in np.meshgrid(along, along))
+    edge = (x % 1 == 0) | (y % 1 == 0)
+    places = transform.inverse(np.stack([x, y], 1)[edge] * size - 0.5)
     places = places[np.isfinite(places).all(1)]
     if not len(places):
         return None
-    low = np.maximum(np.floor(places.min(0)), 0).astype(int)
-    high = np.minimum(np.ceil(places.max(0)) + 1, grid).astype(int)
-    if (low >= high).any():
-        return None
-    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+    left, top = np.maximum(np.floor(places.min(0)), 0).astype(int).tolist()
+    right, bottom = np.minimum(np.ceil(places.max(0)) + 1, grid).astype(int).tolist()
+    return (left, top, right, bottom) if left < right and top < bottom else None
 
 
 def depth_in_frame(
@@ -171,19 +167,25 @@ def _fill(
     empty = total == 0
     if not empty.any():
         return
-    best = np.full(total.shape, np.float32(-np.inf))
-    ranks = []
+    best, ranks = np.full(total.shape, np.float32(-np.inf)), []
     for part, ok, good in zip(parts, there, sound, strict=True):
-        rank = np.where(ok, part.depth[..., None] + np.float32(1e6) * good, np.float32(-np.inf))
-        rank = np.where(empty[:, part.columns], rank, np.float32(-np.inf))
-        ranks.append(rank)
+        rank = part.depth[..., None] + np.float32(1e6) * good
+        ranks.append(np.where(ok & empty[:, part.columns], rank, np.float32(-np.inf)))
         here = best[:, part.columns]
-        np.maximum(here, rank, out=here)
+        np.maximum(here, ranks[-1], out=here)
     for part, rank, share in zip(parts, ranks, used, strict=True):
         chosen = np.isfinite(rank) & (rank == best[:, part.columns])
         chosen &= total[:, part.columns] == 0  # the first of equal ones
         share[chosen] = 1
         total[:, part.columns][chosen] = 1
+
+
+SHARES = (
+    ("within", "within", 1, 4),
+    ("ratio", "squares", 0.5, 3),
+    ("ratio_noise", "random", 0.5, 3),
+)
+"""Of a record of a seam: name, sum, power of its mean, digits."""
 
 
 @dataclass(eq=False)
@@ -215,8 +217,8 @@ class Seams:
         """Return what was found of every pair, JSON-ready.
 
         ``pixels`` of all bands; ``within`` the share of them whose difference is within 2 standard uncertainties, of noise and
-        place; ``ratio`` of the rms difference to that uncertainty, ``ratio_noise`` to noise alone; ``relative`` the mean difference over the
-        mean value, by band.
+        place; ``ratio`` of the rms difference to that uncertainty, ``ratio_noise`` to noise alone; ``relative`` the mean
+        difference over the mean value, by band.
         """
         return [self._record(pair, sums) for pair, sums in sorted(self.sums.items())]
 
@@ -224,25 +226,15 @@ class Seams:
         count = float(sums["pixels"].sum())
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = sums["difference"] / sums["value"]
-        known = "squares" in sums and count > 0
-        share = {
-            n: float(sums[n].sum() / count) if known else 0.0
-            for n in ("within", "squares", "random")
+        found: dict[str, Any] = {"tiles": list(pair), "pixels": int(count)}
+        for name, key, power, digits in SHARES:
+            known = key in sums and count > 0
+            found[name] = round(float(sums[key].sum() / count) ** power, digits) if known else None
+        found["relative"] = {
+            label: round(float(value), 5) if np.isfinite(value) else None
+            for label, value in zip(self.labels, relative, strict=True)
         }
-        found = {
-            "within": round(share["within"], 4),
-            "ratio": round(share["squares"] ** 0.5, 3),
-            "ratio_noise": round(share["random"] ** 0.5, 3),
-        }
-        return {
-            "tiles": list(pair),
-            "pixels": int(count),
-            **(found if known else dict.fromkeys(found)),
-            "relative": {
-                label: round(float(value), 5) if np.isfinite(value) else None
-                for label, value in zip(self.labels, relative, strict=True)
-            },
-        }
+        return found
 
 
 def _differences(a: TilePart, b: TilePart, mine: Any, theirs: Any) -> dict[str, np.ndarray]:
@@ -269,8 +261,7 @@ def mean_step(seam: Mapping[str, Any]) -> float:
     >>> round(mean_step({"relative": {"R": 0.03, "G": 0.01, "B": None}}), 3)
     0.02
     """
-    known = [value for value in seam["relative"].values() if value is not None]
-    return float(np.mean(known)) if known else 0.0
+    return float(np.mean([v for v in seam["relative"].values() if v is not None] or [0.0]))
 
 
 def describe_steps(seams: Iterable[Mapping[str, Any]]) -> list[str]:

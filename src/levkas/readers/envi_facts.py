@@ -135,7 +135,7 @@ def exposure_facts(header: EnviHeader, bands: int) -> dict[str, Any]:
     if clear:
         times = next(iter(clear.values()))
         return {"exposure_s": times[0]} if len(set(times)) == 1 else {"band_times_s": tuple(times)}
-    lines = "; ".join(f"{key} = {_short(header.fields[key])}" for key in unclear)
+    lines = "; ".join(f"{key} = {header.text(key)[:40]}" for key in unclear)
     return {"exposure_unclear": lines} if lines else {}
 
 
@@ -167,10 +167,6 @@ def _numbers_with_units(raw: str | list[str]) -> tuple[list[float], set[str | No
     return numbers, units
 
 
-def _short(value: str | list[str]) -> str:
-    return value[:40] if isinstance(value, str) else "{" + ", ".join(value)[:40] + "}"
-
-
 # --- camera, lens and settings ----------------------------------------------------------------
 
 
@@ -187,7 +183,10 @@ def setting_facts(header: EnviHeader) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for setting, pattern in SETTINGS.items():
         keys = [one for one in filled if pattern.fullmatch(one[1])]
-        found[setting] = tuple((_spaced(one[0]), _setting(header, *one)) for one in keys) or None
+        # Keys as messages have them and headers are compared by: words, without a unit.
+        words = (re.sub(r"[\s_-]+", " ", UNIT.sub("", key.lower())).strip() for key, *_ in keys)
+        values = (_setting(header, *one) for one in keys)
+        found[setting] = tuple(zip(words, values, strict=True)) or None
     for field, keys_of in TEXTS.items():
         said = (" ".join(header.text(key).split()) for key in header.named(keys_of))
         found[field] = next((text for text in said if text.lower() not in UNKNOWN), None)
@@ -203,11 +202,6 @@ def setting_facts(header: EnviHeader) -> dict[str, Any]:
     )
     openings = (parse_number(stop[1].replace(",", ".")) for stop in stops if stop)
     return {**found, "f_number": next((number for number in openings if number), None)}
-
-
-def _spaced(key: str) -> str:
-    """Return a key as messages have it and headers are compared by: words, without a unit."""
-    return re.sub(r"[\s_-]+", " ", UNIT.sub("", key.lower())).strip()
 
 
 def _setting(header: EnviHeader, key: str, name: str, unit: str) -> str:
@@ -263,11 +257,8 @@ def _scale(header: EnviHeader, bands: int) -> tuple[float, ...] | None:
 
 def _gains(header: EnviHeader) -> list[str]:
     """Report which gains and offsets of the header are not applied; nothing of those without effect."""
-    there = []
-    for key in GAINS:
-        neutral = 0.0 if "offset" in key else 1.0
-        if any(number != neutral for number in header.numbers(key)):
-            there.append(f"`{key}`")
+    neutral = {key: 0.0 if "offset" in key else 1.0 for key in GAINS}
+    there = [f"`{key}`" for key in GAINS if {*header.numbers(key)} - {neutral[key]}]
     return [f"{' and '.join(there)} of the header are not applied"] if there else []
 
 

@@ -65,7 +65,9 @@ def read_centres(
     known = unit.strip(" {}()").lower()
     if not values or known in NO_LENGTHS or not any(values):
         return Centres()
-    stated = _unit(known)
+    units = LENGTHS | RECIPROCALS
+    stated = next((name for name in (known, known.rstrip("s")) if name in units), "")
+    stated = {1.0: "nanometre", 1e3: "micrometre"}.get(LENGTHS.get(stated, 0.0), stated)
     numbered = list(values) in ([*range(len(values))], [*range(1, len(values) + 1)])
     for name in dict.fromkeys((stated, "nanometre", "micrometre")):
         if numbered and name != stated:
@@ -101,9 +103,9 @@ def centres_in_names(names: Sequence[str]) -> tuple[float, ...] | None:
 
 def _centre_in(name: str) -> float | None:
     found = _NAMED.findall(name)
-    if len(found) != 1:
-        return None
-    (nm,) = read_centres([float(found[0][0])], found[0][1]).nm or (None,)
+    (nm,) = (read_centres([float(found[0][0])], found[0][1]).nm if len(found) == 1 else None) or (
+        None,
+    )
     return nm
 
 
@@ -116,17 +118,6 @@ def bare_centre(name: str) -> float | None:
     found = re.fullmatch(r"(?:.*\()?\s*(\d{3,}(?:\.\d+)?|\d+\.\d+)\s*\)?", name.strip())
     (nm,) = (read_centres([float(found[1])]).nm if found else None) or (None,)
     return nm
-
-
-def _unit(text: str) -> str:
-    """Return the name of a unit that is known, else nothing."""
-    for name in (text, text.rstrip("s")):
-        if name in RECIPROCALS:
-            return name
-        if name in LENGTHS:
-            same = {1.0: "nanometre", 1e3: "micrometre"}
-            return same.get(LENGTHS[name], name)
-    return ""
 
 
 def _nm(value: float, unit: str) -> float:
