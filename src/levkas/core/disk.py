@@ -73,10 +73,8 @@ def _problem(path: Path, error: OSError, bytes_needed: int | None) -> Problem:
 
 
 def _unwritable(path: Path, reason: str) -> Problem:
-    message, expected = (
-        f"{path.name} cannot be written: {reason}",
-        "a folder that can be written to",
-    )
+    message = f"{path.name} cannot be written: {reason}"
+    expected = "a folder that can be written to"
     fix = "Give another output folder, or change its permissions."
     return Problem("E_UNWRITABLE", message, str(path), expected=expected, fix=fix)
 

@@ -165,18 +165,13 @@ def _layout_of(header: EnviHeader) -> Layout:
     order = header.whole("byte order", least=0, default=0)
     known = ", ".join(map(str, DATA_TYPES))
     for key, found, right, expected in (
-        ("file compression", packed, not packed, "0: data that are not compressed"),
-        (
-            "interleave",
-            interleave or "nothing",
-            interleave in ("bil", "bip", "bsq"),
-            "bil, bip or bsq",
-        ),
-        ("data type", code, code in DATA_TYPES, f"{known}: whole numbers or floats, none complex"),
-        ("byte order", order, order in (0, 1), "0 for little-endian, 1 for big-endian numbers"),
+        ("file compression", packed, (0,), "0: data that are not compressed"),
+        ("interleave", interleave, ("bil", "bip", "bsq"), "bil, bip or bsq"),
+        ("data type", code, DATA_TYPES, f"{known}: whole numbers or floats, none complex"),
+        ("byte order", order, (0, 1), "0 for little-endian, 1 for big-endian numbers"),
     ):
-        if not right:
-            raise refused(header.path, "layout", found, key=key, expected=expected)
+        if found not in right:  # type: ignore[operator]
+            raise refused(header.path, "layout", found or "nothing", key=key, expected=expected)
     dtype = np.dtype("<>"[order] + DATA_TYPES[code])
     offset = header.whole("header offset", least=0, default=0)
     return Layout((lines, samples, bands), interleave, dtype, offset)

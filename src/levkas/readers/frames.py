@@ -51,9 +51,7 @@ READERS = {
     "envi": Reader("envi", "read_envi_facts", "read_envi"),
     "ripple": Reader("containers", "read_ripple_facts", "read_ripple"),
     "hdf5": Reader("containers", "read_hdf5_facts", "read_hdf5_frame"),
-    "hdf5-cube": Reader(
-        "containers", "read_hdf5_facts", "read_hdf5_frame", (b"MATLAB 7.3 MAT-fil",)
-    ),
+    "hdf5-cube": Reader("containers", "read_hdf5_facts", "read_hdf5_frame", (b"MATLAB 7.3 ",)),
     "mat": Reader("containers", "read_mat_facts", "read_mat", (b"MATLAB 5.0 MAT-fil",)),
 }
 STACKS = {".rpl": "ripple", ".h5": "hdf5", ".hdf5": "hdf5"}

@@ -112,8 +112,6 @@ def _unpacked(path: Path, handle: BinaryIO, form: str) -> int:
 
 
 def _cut(path: Path, handle: BinaryIO) -> Exception:
-    found, expected = (
-        f"{handle.seek(0, 2)} bytes",
-        "all tags of the page, and where the next one is",
-    )
+    found = f"{handle.seek(0, 2)} bytes"
+    expected = "all tags of the page, and where the next one is"
     return refused(path, "cut", found, field="directory", expected=expected)
