@@ -243,9 +243,9 @@ def _few_found(e: Evidence) -> float:
 
 def _contradicted(e: Evidence) -> float:
     """Return the share of the cells that windows contradict; 1 where they do everywhere: many of them, or by their median."""
-    told = e.telling >= max(LEAST_FOUND, LEAST_FOUND_SHARE * e.windows)
+    enough = e.telling >= max(LEAST_FOUND, LEAST_FOUND_SHARE * e.windows)
     everywhere = e.contradicting > MOST_CONTRADICTING * e.telling or e.window_median > e.tolerance
-    return 1.0 if told and everywhere else e.off_share
+    return 1.0 if enough and everywhere else e.off_share
 
 
 def _describe_contradiction(e: Evidence) -> str:
