@@ -97,7 +97,9 @@ class Template:
     def taken(self, take: Callable[[np.ndarray], np.ndarray], **more: Any) -> Template:
         """Return the template with a part of each of its arrays."""
         arrays = {name: getattr(self, name) for name in ARRAYS}
-        parts = {name: take(array) for name, array in arrays.items() if array is not None}
+        parts: dict[str, Any] = {
+            name: take(array) for name, array in arrays.items() if array is not None
+        }
         return replace(self, **parts, **more)
 
 

@@ -43,6 +43,6 @@ def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
     step = grey_step(height, width)
     tops = range(0, height, ROWS)
     blocks = ([one.read(top, top + ROWS) for one in (values, flags)] for top in tops)
-    parts = [grey_of(*block, top, step) for top, block in zip(tops, blocks, strict=True)]
+    parts = [grey_of(v, f, top, step) for top, (v, f) in zip(tops, blocks, strict=True)]
     mean, inside = zip(*parts, strict=True)
     return np.concatenate(mean), np.concatenate(inside)

@@ -217,7 +217,9 @@ def _slope(grid: Mapping[str, Any]) -> np.ndarray:
 def unchecked_share(record: Mapping[str, Any], key: str = "unchecked") -> float:
     """Return the share of a layer, 0 … 1, where nothing confirms its map; 0 where a record has none. ``"outside"``: the part outside the object's outline."""
     share = (record.get("verdict") or {}).get(key)
-    return float(share) if type(share) in (int, float) and 0 <= share <= 1 else 0.0
+    if isinstance(share, bool) or not isinstance(share, int | float):
+        return 0.0
+    return float(share) if 0 <= share <= 1 else 0.0
 
 
 def unchecked_mm2(record: Mapping[str, Any]) -> float | None:

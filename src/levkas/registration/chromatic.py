@@ -144,11 +144,12 @@ def interpolate_chromatic(
     """
     places = np.concatenate([np.asarray(measured, float), np.asarray(wanted, float)])
     selection = np.eye(len(measured), len(places))
+    bends = _correlations(selection, places)
     known = shifts.variances if shifts.variances is not None else np.zeros_like(shifts.amounts)
     amounts, doubts = np.zeros((2, len(wanted), shifts.amounts.shape[1]))
     for column, y in enumerate(shifts.amounts.T):
         noise = LEAST_VARIANCE + known[:, column]
-        mean, variance = _posterior(y, noise, selection, places, 0.0)
+        mean, variance = _posterior(y, noise, selection, bends, 0.0)
         amounts[:, column], doubts[:, column] = mean[len(y) :], variance[len(y) :]
     return replace(shifts, amounts=amounts, variances=doubts)
 
@@ -282,47 +283,53 @@ def _smooth(
             selection = np.vstack([selection, np.eye(len(apart))[fixed]])
             y, noise = np.append(y, 0.0), np.append(noise, LEAST_VARIANCE)
         if len(y):
+            bends = _correlations(selection, places) if smooth else []
             result[:, column], doubts[:, column] = _posterior(
-                y, noise, selection, places if smooth else None, price[column]
+                y, noise, selection, bends, price[column]
             )
     return result if fixed is None else result - result[fixed], doubts
 
 
+Correlations = list[tuple[np.ndarray, np.ndarray]]
+"""Of what was measured with all amounts, (measured, bands), and with itself, for each of `LENGTHS`."""
+
+
+def _correlations(selection: np.ndarray, places: np.ndarray) -> Correlations:
+    """Return the squared exponentials over `places`, (bands,) nm; `selection`, (measured, bands), is as of `_posterior`."""
+    apart = (places[:, None] - places) ** 2
+    across = [selection @ np.exp(-0.5 * apart / nm**2) for nm in LENGTHS]
+    return [(one, one @ selection.T) for one in across]
+
+
 def _posterior(
-    y: np.ndarray,
-    noise: np.ndarray,
-    selection: np.ndarray,
-    places: np.ndarray | None,
-    price: float,
+    y: np.ndarray, noise: np.ndarray, selection: np.ndarray, bends: Correlations, price: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and variance of the amounts, (bands,), given ``y = selection @ amounts`` with variances `noise`.
 
-    Algorithm 2.1 of [rasmussen2006]_ for each combination of scales; that of the highest marginal likelihood is taken. Amounts are smooth
-    over `places`, nm, where these are given.
+    Algorithm 2.1 of [rasmussen2006]_ for each combination of scales; that of the highest marginal likelihood is taken. Scales
+    are compared on what was measured alone, which is less than all that is wanted.
     """
     plain = np.linalg.lstsq(selection, y, rcond=1e-3)[0]
     size = max(float(np.mean(plain**2)), float(np.median(noise)), LEAST_VARIANCE)
     if price > 0:
         size = min(size, 1 / price)
     common = (1 if price > 0 else 100) * size
-    count = selection.shape[1]
-    smooth = [np.zeros((count, count))]
-    if places is not None:
-        apart = (places[:, None] - places) ** 2
-        smooth += [s * np.exp(-0.5 * apart / nm**2) for nm, s in product(LENGTHS, SMOOTH)]
+    rows, single = selection.sum(1), selection @ selection.T
+    still = common * np.outer(rows, rows) + np.diag(noise)
+    none = (np.zeros(selection.shape), np.zeros(single.shape)), 0.0
     best, chosen = -np.inf, None
-    for bend, own in product(smooth, OWN):
-        prior = common + size * (bend + own * np.eye(count))
-        across = selection @ prior
-        factor, failed = dpotrf(across @ selection.T + np.diag(noise), lower=1)
+    scales = [none, *product(bends, SMOOTH)]
+    for ((across, within), share), own in product(scales, OWN):
+        factor, failed = dpotrf(still + size * (share * within + own * single), lower=1)
         if failed:
             continue
         white, _ = dtrtrs(factor, y, lower=1)
         likelihood = -0.5 * (white @ white) - np.log(np.diag(factor)).sum()
         if likelihood > best:
-            best, chosen = likelihood, (factor, white, across, np.diag(prior))
+            shared = common * rows[:, None] + size * (share * across + own * selection)
+            best, chosen = likelihood, (factor, white, shared, common + size * (share + own))
     if chosen is None:
-        return plain, np.full(count, size)
+        return plain, np.full(selection.shape[1], size)
     factor, white, across, before = chosen
     known, _ = dtrtrs(factor, across, lower=1)
     return known.T @ white, np.maximum(before - (known**2).sum(0), 0.0)

@@ -151,8 +151,7 @@ def _check_bands(name: str, images: Sequence[BandImage]) -> list[Problem]:
             ),
         ):
             if wrong:
-                at = {"field": image.label, "found": size, "expected": expected}
-                problems.append(Problem("E_SIZE", text, **at))
+                problems.append(Problem("E_SIZE", text, None, image.label, size, expected))
     return problems
 
 

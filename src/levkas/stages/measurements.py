@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -150,7 +150,7 @@ def _unlike_channels(stacks: Stacks, noise: NoiseModel) -> dict[str, float]:
     black, found = stacks.context.black_level, {}
     under = [level_under(stack, stacks.darks, black=black) for stack in lit]
     for label, phase in stacks.phases.items():
-        parts = [stack.taken(lambda a, p=phase: _phase(a, p), shots=None) for stack in lit]
+        parts = [stack.taken(partial(_phase, phase=phase), shots=None) for stack in lit]
         ratio = compare_noise(noise, parts, [_phase(level, phase) for level in under])
         if not 1 / UNLIKE < ratio < UNLIKE:
             found[label] = rounded(ratio, 3)
@@ -383,7 +383,7 @@ def lamp_numbers(
         numbers = {
             "black": np.nan,
             "black_sigma": 0.0,
-            **{n: v[i] for n, v in zip(names, lamp, strict=False)},
+            **{n: v[i] for n, v in zip(names, lamp[:4], strict=True)},  # type: ignore[index]
         }
         if dark is not None:
             within = np.hypot(*np.nan_to_num([dark.white[i], dark.flicker[i]])) * per_count[i]
