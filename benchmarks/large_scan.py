@@ -100,8 +100,7 @@ def work(folder: Path, memory: float) -> None:
     campaign = load_campaign(folder)
     capture = next(c for c in find_captures(campaign)[0] if c.camera == "scan")
     scan = open_scan(capture, campaign, TemplateCache(folder))
-    (part,) = scan.parts
-    lines, samples, _ = part.shape
+    lines, samples, _ = scan.parts[0].shape
     size = (samples // 2, lines // 2)
     lens = Lens(np.array([samples / 2, lines / 2]), lines / 2.0, (1e-4, 0.0))
     one = Composed(Affine(np.array([[2.0, 0.002, 0.5], [0.0001, 2.0, 0.5]])), lens)

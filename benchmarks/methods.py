@@ -241,7 +241,6 @@ def _similarity(
     trial: Trial, record: dict[str, Any], target: NativeLayer, maps: dict[str, Map]
 ) -> float | None:
     """SSIM of the mean of the registered bands against the reference's published layer."""
-    from levkas.core.files import write_bytes
     from levkas.database.grey import grey_of, grey_step, read_grey
     from levkas.database.layout import Places
     from levkas.database.preview import encode_png
@@ -265,7 +264,7 @@ def _similarity(
     score, full = structural_similarity(base[0], ours[0], base[1] & ours[1])
     if trial.map:
         shown = np.nan_to_num(np.clip(full, 0, 1) * 255).astype(np.uint8)
-        write_bytes(trial.map, encode_png(shown, description="SSIM, 0 to 1"))
+        trial.map.write_bytes(encode_png(shown, description="SSIM, 0 to 1"))
     return None if np.isnan(score) else float(score)
 
 

@@ -34,14 +34,14 @@ FAULTS = {
     # calibration: values
     "dark is added": Fault(
         "calibration/flatfield.py",
-        "signal = np.float64(counts[x]) - np.float64(back[x])",
-        "signal = np.float64(counts[x]) + np.float64(back[x])",
+        "np.nan if lost else signal / light * factor[x]",
+        "np.nan if lost else (signal + 2 * back[x]) / light * factor[x]",
         "tests/calibration",
     ),
     "white without its dark": Fault(
         "calibration/flatfield.py",
-        "light = np.float64(lit[x]) - np.float64(under[x])",
-        "light = np.float64(lit[x])",
+        "np.nan if lost else signal / light * factor[x]",
+        "np.nan if lost else signal / lit[x] * factor[x]",
         "tests/calibration",
     ),
     "white's exposure upside down": Fault(
@@ -168,8 +168,8 @@ FAULTS = {
     # geometry
     "grid is half a pixel off": Fault(
         "geometry/grid.py",
-        "[[step_x, 0, step_x / 2 - 0.5 + x]",
-        "[[step_x, 0, step_x / 2 + x]",
+        "crop[:2, 2] = step_x / 2 - 0.5 + x, step_y / 2 - 0.5 + y",
+        "crop[:2, 2] = step_x / 2 + x, step_y / 2 + y",
         "tests/geometry",
     ),
     "rotation the other way": Fault(
@@ -235,7 +235,7 @@ FAULTS = {
     ),
     "few agreeing windows are enough": Fault(
         "registration/verdict.py",
-        "return 1.0 if e.window_median > e.tolerance else e.contradicting / max(e.telling, 1)",
+        "return 1.0 if enough and everywhere else e.off_share",
         "return 0.0",
         "tests/registration",
     ),
@@ -535,11 +535,8 @@ def main() -> int:
                 print(f"! {name}: {wrong}", flush=True)
                 missed += 1
                 continue
-            here = [
-                t
-                for t in fault.tests.split()
-                if t == "-k" or not t.startswith(("tests/", "src/")) or (room / t).exists()
-            ]
+            here = fault.tests.split()
+            here = [t for t in here if not t.startswith(("tests/", "src/")) or (room / t).exists()]
             test = run_tests(source, here, room)
             if not test and given.whole:
                 test = run_tests(source, ["tests"], room)
