@@ -14,7 +14,7 @@ def open(path: str | Path) -> Database:
     """Open a database: ``open("icons")["icon1"]["lctf-vis"]`` is a lazy array (y, x, band).
 
     `path` is the folder of a database or of the campaign that it was built from, or its address (``https://``, ``s3://``).
-    A database maps objects to cameras, or (camera, setup), to `xarray.DataArray` of float32, reflectance or counts as the
+    Returns a mapping of objects to cameras, or (camera, setup), to `xarray.DataArray` of float32, reflectance or counts as the
     attribute `quantity` says; pixels are read when they are used. ``array.levkas`` has what lies beside them: see
     `levkas.database.accessor.LayerAccessor`. Raises DatabaseRefused, ``E_UNREADABLE``, where there is no database.
 

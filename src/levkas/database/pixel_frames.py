@@ -230,7 +230,7 @@ def find_map(database: str | Path, name: str, source: str, target: str) -> Frame
 def map_points(
     database: str | Path, name: str, points: np.ndarray, *, source: str, target: str
 ) -> np.ndarray:
-    """Map points of an object, (n, 2) px of `source`, x and y, pixel centres at integers, to px of `target`, in the same order.
+    """Return where points of an object, (n, 2) px of `source`, x and y, pixel centres at integers, lie in px of `target`, in the same order.
 
     `database` is a folder or an address; frames are named as `parse_frame` has it. NaN for what lies outside what is known.
     Raises MappingRefused where database, object, frame or band is not there, or the camera was refused.

@@ -276,7 +276,7 @@ def write_stiff(
 def read_stiff(
     path: str | Path, silent: bool = False, rgb_only: bool = False
 ) -> tuple[np.ndarray | None, np.ndarray, np.ndarray | None, str]:
-    """Read (cube, wavelengths, rgb, metadata) of a spectral TIFF, with the name and the order of arguments that its users know.
+    """Return (cube, wavelengths, rgb, metadata) of a spectral TIFF, with the name and the order of arguments that its users know.
 
     The cube is (height, width, bands), wavelengths, nm, ascending, 0, 1, 2 … where the file has none; uint16 pages become
     float32 reflectance (÷ 65535). `silent`: no warning where wavelengths or texts are repeated on every page; `rgb_only`: the
@@ -344,7 +344,7 @@ def decode_text(stored: str) -> str:
 
 
 def read_mtiff(path: str | Path) -> dict[str, np.ndarray]:
-    """Read masks of a TIFF, a page each, labelled by tag 65001: label → where the page is above 0, (height, width) bool.
+    """Return the masks of a TIFF, a page each, labelled by tag 65001: label → where the page is above 0, (height, width) bool.
 
     Raises TiffRefused where a page has no label, or two have the same.
 
