@@ -43,4 +43,4 @@ def test_a_lamp_that_sinks_over_a_scan_longer_than_its_white_is_named_as_far_as_
     """Of 2 % over 480 lines the white of 64 shows 0.2 %; over 1,500 lines less than its noise."""
     write_campaign(tmp_path / "campaign", "cube", Habits(drift=drift), (lines, 80))
     made = outcome_of(tmp_path / "campaign", build)
-    assert ("the lamp is known between white and object" in made.words) == named
+    assert ("the lamp changed between white and object" in made.words) == named

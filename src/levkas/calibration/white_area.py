@@ -28,6 +28,8 @@ SHOWN, FIXED, ABOVE = 0.015, 0.02, 2.5
 tenth has, of which a sensor gives 2 % to every frame: dust all over, fringes."""
 DETAILED = 0.01
 """Relative rms of the object's detail that lets a white be judged."""
+EDGE = 0.1
+"""Relative rms of a white's detail in blocks at the border of a frame, whatever the object shows: there the board ends."""
 ALIKE, UNLIKE, CONTRAST = 0.6, 0.3, 0.25
 """Correlation of the two where the white shows the object, and the board; share of the object's contrast that it shows at least."""
 LEAST, FEWEST, MOST = 0.02, 6, 0.5
@@ -213,6 +215,9 @@ def _without_board(blocks: tuple[np.ndarray, ...]) -> np.ndarray:
     if not board.any():  # an object without detail lets dust look like its own
         least = ABOVE * FIXED
     shown = _large(judged & (lit > least**2) & (alike > ALIKE) & (part > CONTRAST), FEWEST)
+    edge = (sound > 0.5) & (lit > EDGE**2)
+    edge[1:-1, 1:-1] = False
+    shown |= _large(edge, FEWEST)
     if not shown.any():
         return shown
     where = distance_transform_edt(~(shown | board), return_distances=False, return_indices=True)
