@@ -28,8 +28,6 @@ SHOWN, FIXED, ABOVE = 0.015, 0.02, 2.5
 tenth has, of which a sensor gives 2 % to every frame: dust all over, fringes."""
 DETAILED = 0.01
 """Relative rms of the object's detail that lets a white be judged."""
-EDGE = 0.1
-"""Relative rms of a white's detail in blocks at the border of a frame, whatever the object shows: there the board ends."""
 ALIKE, UNLIKE, CONTRAST = 0.6, 0.3, 0.25
 """Correlation of the two where the white shows the object, and the board; share of the object's contrast that it shows at least."""
 LEAST, FEWEST, MOST = 0.02, 6, 0.5
@@ -164,8 +162,7 @@ def find_white_line(white: Template, level: np.ndarray) -> WhiteArea:
     spread = np.median(relative, axis=1)
     moving = spread > max(MOVING, USUAL * float(np.quantile(spread, 0.25)))
     parts = _large(moving[None], max(3, len(light) // 100))
-    share = float(parts.mean())
-    if share > MOST:
+    if (share := float(parts.mean())) > MOST:
         raise refusal("white_object", number=share)
     return WhiteArea(parts if parts.any() else None)
 
@@ -174,8 +171,9 @@ def _reduced(plane: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return a frame, its bands averaged, at another size, float32."""
     flat = plane if plane.ndim == 2 else plane.mean(2, dtype=np.float32)
     flat = np.ascontiguousarray(flat, np.float32)
-    same = flat.shape == size
-    return flat if same else cv2.resize(flat, size[::-1], interpolation=cv2.INTER_AREA)
+    if flat.shape != size:
+        flat = cv2.resize(flat, size[::-1], interpolation=cv2.INTER_AREA)
+    return flat
 
 
 def _detail(plane: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
@@ -210,14 +208,13 @@ def _without_board(blocks: tuple[np.ndarray, ...]) -> np.ndarray:
     part = common / np.maximum(own, 1e-12)
     judged = (sound > 0.5) & (own > DETAILED**2)
     everywhere = np.quantile(lit[sound > 0.5], 0.1) ** 0.5 if np.any(sound > 0.5) else 0.0
-    least = max(SHOWN, ABOVE * min(float(everywhere), FIXED))
     board = judged & ((alike < UNLIKE) | (part < CONTRAST / 4))
-    if not board.any():  # an object without detail lets dust look like its own
-        least = ABOVE * FIXED
-    shown = _large(judged & (lit > least**2) & (alike > ALIKE) & (part > CONTRAST), FEWEST)
-    edge = (sound > 0.5) & (lit > EDGE**2)
+    dusty = min(float(everywhere), FIXED) if board.any() else FIXED  # without detail dust is alike
+    least = max(SHOWN, ABOVE * dusty)
+    edge = (sound > 0.5) & (lit > (5 * FIXED) ** 2)  # at the border of a frame the board ends
     edge[1:-1, 1:-1] = False
-    shown |= _large(edge, FEWEST)
+    object_there = judged & (lit > least**2) & (alike > ALIKE) & (part > CONTRAST)
+    shown = _large(object_there, FEWEST) | _large(edge, FEWEST)
     if not shown.any():
         return shown
     where = distance_transform_edt(~(shown | board), return_distances=False, return_indices=True)
@@ -229,9 +226,7 @@ def _large(mask: np.ndarray, fewest: int) -> np.ndarray:
     from scipy.ndimage import label
 
     parts, _ = label(mask, np.ones((3, 3)))
-    counts = np.bincount(parts.ravel())
-    counts[0] = 0
-    return np.asarray(counts[parts] >= fewest)
+    return np.asarray(mask & (np.bincount(parts.ravel())[parts] >= fewest))
 
 
 def _at_size(
