@@ -264,7 +264,7 @@ def _similarity(
     score, full = structural_similarity(base[0], ours[0], base[1] & ours[1])
     if trial.map:
         shown = np.nan_to_num(np.clip(full, 0, 1) * 255).astype(np.uint8)
-        trial.map.write_bytes(encode_png(shown, description="SSIM, 0 to 1"))
+        Path(trial.map).write_bytes(encode_png(shown, description="SSIM, 0 to 1"))
     return None if np.isnan(score) else float(score)
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter
 
-import levkas.quality.targets as chart
+import levkas.quality.targets.charts as chart
+import levkas.quality.targets.patches as patch
 from levkas.calibration.noise_model import Sensor
 
 KIND, PITCH, SENSOR = chart.CHARTS["ColorChecker24"], 60, Sensor()
@@ -35,7 +36,7 @@ def main(output: Path) -> Figure:
         spectra[GREYS[-2:]] = np.where(np.array(nm) > 730, 0.3, spectra[GREYS[-2:]])
         scene = np.kron(spectra.reshape(4, 6, -1), np.ones((PITCH, PITCH, 1)))
         mean = sum(shots := [shot(scene, np.array(nm), electrons, rng) for _ in range(2)]) / 2
-        table = chart.measure_patches(mean, np.zeros(mean.shape, np.uint8), AREAS, shots=shots)
+        table = patch.measure_patches(mean, np.zeros(mean.shape, np.uint8), AREAS, shots=shots)
         for i, label in enumerate(labels.split() or [f"{n} nm" for n in nm]):
             ink = INKS.get(label[0], (i / 15, 0.4, 1 - i / 15))
             line = "o--" if label[1:] == "2" else "o-"
@@ -44,8 +45,8 @@ def main(output: Path) -> Figure:
         panel.set_xticks(Y, [f"{v:.0f}" for v in Y])
         panel.minorticks_off()
         panel.legend(ncols=2, fontsize=7, frameon=False, loc="lower right")
-    planes = chart.noise_planes(mean, AREAS, shots=shots)
-    corrected = table.corrected_db([chart.find_preblur(p, fitted=3) for p in planes])
+    planes = patch.noise_planes(mean, AREAS, shots=shots)
+    corrected = table.corrected_db([patch.find_preblur(p, fitted=3) for p in planes])
     axes[3].set(title="(d) dashed: corrected", xlabel="wavelength (nm)", ylabel="SNR (dB)")
     for g, y, grey in zip(GREYS, Y, np.linspace(0.75, 0, 6), strict=True):
         axes[3].plot(nm, table.snr_db[g], "o-", ms=3, color=str(grey), label=f"{y:.0f} %")

@@ -9,20 +9,16 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from levkas.calibration.noise_model import (
-    Sensor,
-    crossover_exposures,
-    sample_values,
-    snr_ceiling_db,
-    snr_db,
-)
+from levkas.calibration.noise_model import Sensor, noise_variance, snr_db
 
 PIXELS = 640 * 480
 REGIMES = {"dark and read-out": "#e8e8ee", "shot noise": "#f6eeda", "PRNU": "#e6f0e6"}
 
 
 def sampled_snr_db(exposure: float, sensor: Sensor, rng: np.random.Generator) -> float:
-    values = sample_values(exposure, sensor, PIXELS, rng)  # Eq. (2)
+    shot = rng.poisson(exposure, PIXELS) * (1 + rng.normal(0, sensor.prnu, PIXELS))
+    dark = rng.poisson(sensor.dark, PIXELS) * (1 + rng.normal(0, sensor.dsnu, PIXELS))
+    values = shot + dark + rng.normal(0, sensor.read, PIXELS)  # Eq. (2)
     return 10 * float(np.log10(values.mean() / values.std()))  # Eq. (1)
 
 
@@ -34,11 +30,14 @@ def main(output: Path) -> Figure:
 
     figure = Figure((7, 4.2), layout="constrained")
     axes = figure.subplots()
-    edges = (exposure[0], *crossover_exposures(sensor), exposure[-1])
+    # Shot noise overtakes the noise in the dark, PRNU the shot noise.
+    grown = 1 + sensor.prnu**2
+    crossings = float(noise_variance(0.0, sensor)) / grown, grown / sensor.prnu**2
+    edges = (exposure[0], *crossings, exposure[-1])
     for (name, colour), left, right in zip(REGIMES.items(), edges, edges[1:], strict=False):
         axes.axvspan(left, right, color=colour, linewidth=0)
         axes.text(np.sqrt(left * right), 18.1, name, ha="center", va="center")
-    ceiling = snr_ceiling_db(sensor)
+    ceiling = -10 * float(np.log10(sensor.prnu))  # of PRNU alone, dB of Eq. (1)
     axes.axhline(ceiling, color="0.4", linestyle="--", linewidth=1)
     axes.text(1.2, ceiling - 0.2, f"PRNU alone: {ceiling:.1f} dB", va="top", color="0.3")
     curve = snr_db(exposure, sensor, subtract_dark=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from levkas.colour.illuminants import illuminant
+from levkas.colour.illuminants import illuminant, planck
 from levkas.planning import GRID, colour_temperature, load_setup
 
 BENCH = Path(__file__).parent / "plan"
@@ -14,7 +14,7 @@ BENCH = Path(__file__).parent / "plan"
 
 def main(output: Path) -> Figure:
     setup = load_setup(BENCH)
-    bare = setup.spectra["halogen"].values
+    bare = planck(GRID, 3000.0)  # as in plan/bench.toml
     curves = {
         "halogen": (bare, "#a40000", "-"),
         "behind the D50 filter": (setup.lighting("proposed").lamps[0].spectrum, "#204a87", "-"),

@@ -101,9 +101,7 @@ def test_the_mean_of_an_estimated_region_is_no_better_known_than_its_paint(own_p
             rectangle=(20, 20, 31, 31), bands=["590 nm", "610 nm"], of="difference"
         )
         assert apart.u < np.hypot(*many.u.sel(band=["590 nm", "610 nm"]))  # missed alike
-        assert {"sigma", "u_prediction"} <= set(
-            levkas.open(own_paintings)["icon3"].dataset("guess")
-        )
+        assert "sigma" in levkas.open(own_paintings)["icon3"].dataset("guess")
 
 
 def test_an_estimate_never_replaces_a_measurement_nor_is_estimated_to(own_paintings, models):

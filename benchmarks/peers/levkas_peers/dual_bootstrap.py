@@ -81,7 +81,7 @@ class Side:
             Structures(
                 (found.faces - centre) / spread, found.normals, (found.corners - centre) / spread
             ),
-            find_key_points(picture, valid, contrast=0.02),
+            find_key_points(picture, valid),
             (w, h),
         )
 

@@ -26,10 +26,7 @@ LEAST_SIDE = 32
 def opencv_sift_magsac(pair: Pair) -> Answer:
     """Match SIFT key points by Lowe's ratio test and fit a homography by MAGSAC."""
     pictures = (pair.reference, pair.reference_valid), (pair.target, pair.target_valid)
-    sides = [
-        find_key_points(stretch(values, valid), valid, contrast=0.02, root=False)
-        for values, valid in pictures
-    ]
+    sides = [find_key_points(stretch(values, valid), valid) for values, valid in pictures]
     source, goal = ratio_matches(sides, SIFT_RATIO)
     return fit_homography(
         source, goal, "MAGSAC", method=cv2.USAC_MAGSAC,

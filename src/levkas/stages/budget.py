@@ -133,7 +133,7 @@ def _white(campaign: Campaign, capture: Capture, measured: Measured) -> Iterator
         yield ErrorSource(WHITE, "relative", {}, "campaign", True, "unknown", ADVICE[WHITE])
         return
     owner = white.reflectance if isinstance(white.reflectance, str) else ""
-    yield ErrorSource(WHITE, "relative", sizes, "campaign", True, "declared", owner=owner)
+    yield ErrorSource(WHITE, "relative", board, "campaign", True, "declared", owner=owner)
 
 
 def _light(
